@@ -1,0 +1,1 @@
+"""Recorded data on the host: files, local metres, scans, truth and tables of tracks."""

@@ -1,0 +1,157 @@
+"""Running a tracker over time, and over many simulated runs.
+
+    estimates = run(tracker, params, scans, key)          # T scans
+    dataset = monte_carlo(scenario, ["gm-mm-cbmember"])   # R runs, scored
+
+    >>> import jax
+    >>> from jaxtrack import engine
+    >>> from jaxtrack.scenarios import yuan2013_linear
+    >>> scenario = yuan2013_linear.make()
+    >>> truth, scans = scenario.simulate(jax.random.key(0))
+    >>> tracker, params = scenario.trackers["imm-mm-cbmember"]
+    >>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
+    >>> estimates.mean.shape
+    (50, 16, 4)
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.metrics.gospa import gospa
+from jaxtrack.metrics.ospa import ospa
+from jaxtrack.scenarios.world import Scenario, Truth, World, observe
+from jaxtrack.types import Array, PyTree, Scan, Tracker
+
+
+class Scores(NamedTuple):
+    """How well one run went, each [T].
+
+    Attributes:
+        ospa: Metres; ospa_localisation and ospa_cardinality are its parts.
+        gospa: Metres; gospa_localisation, gospa_missed and gospa_false are its parts to
+            the power of the order.
+        num_true: Targets that exist.
+        num_reported: Tracks that were reported.
+        num_expected: Sum of the existence probabilities.
+        log_evidence: Log-density of the scan.
+        dropped: Expected number of targets that capacities threw away.
+    """
+
+    ospa: Array
+    ospa_localisation: Array
+    ospa_cardinality: Array
+    gospa: Array
+    gospa_localisation: Array
+    gospa_missed: Array
+    gospa_false: Array
+    num_true: Array
+    num_reported: Array
+    num_expected: Array
+    log_evidence: Array
+    dropped: Array
+
+
+def run(tracker: Tracker, params: PyTree, scans: Scan, key: Array) -> PyTree:
+    """Runs a tracker over T scans; every estimate comes back with a leading T.
+
+    For R runs at once: `jax.vmap(run, (None, None, 0, 0))(tracker, params, scans, keys)`
+    with the tracker bound by `functools.partial`.
+
+    Args:
+        tracker: A tracker; static under `jit`.
+        params: Its `Params`.
+        scans: Scans with a leading T.
+        key: Random key; the trackers that need none ignore it.
+
+    Returns:
+        The tracker's `Estimate` with a leading T.
+    """
+    step = functools.partial(tracker.step, params)
+    _, estimates = jax.lax.scan(step, tracker.init(params, key), scans)
+    return estimates
+
+
+def run_keys(seed: int, first: int, count: int) -> Array:
+    """Returns the keys of runs first, first + 1, ...; run r has `fold_in(key, r)`.
+
+    So a run's data are the same whatever the batch, the chunk or the machine.
+    """
+    fold = jax.vmap(jax.random.fold_in, (None, 0))
+    return fold(jax.random.key(seed), jnp.arange(first, first + count))
+
+
+def simulate_and_run(
+    tracker: Tracker, params: PyTree, world: World, max_detections: int, key: Array
+) -> tuple[Scan, Any]:
+    """Draws one run's scans and tracks them.
+
+    Args:
+        tracker: A tracker; static under `jit`.
+        params: Its `Params`.
+        world: Truth and sensor.
+        max_detections: Slots of a scan; static under `jit`.
+        key: The run's key, see `run_keys`.
+
+    Returns:
+        The scans and the estimates, each with a leading T.
+    """
+    scan_key, tracker_key = jax.random.split(key)
+    scans = observe(scan_key, *world, max_detections)
+    return scans, run(tracker, params, scans, tracker_key)
+
+
+def score(
+    truth: Truth, motion: Any, estimates: Any, cutoff: Array, order: Array
+) -> Scores:
+    """Scores the estimates of one run scan by scan.
+
+    Args:
+        truth: T scans of N targets.
+        motion: A motion model, asked only where positions stand.
+        estimates: Any tracker's `Estimate` with a leading T.
+        cutoff: Of OSPA and GOSPA, metres.
+        order: Of OSPA and GOSPA.
+
+    Returns:
+        Scores, each [T].
+    """
+    index = jnp.array(motion.position_index)
+
+    def one(state: Array, there: Array, mean: Array, exists: Array) -> tuple[Any, Any]:
+        sets = state[:, index], there, mean[:, index], exists
+        return ospa(*sets, cutoff, order), gospa(*sets, cutoff, order)
+
+    near, general = jax.vmap(one)(
+        truth.state, truth.exists, estimates.mean, estimates.exists
+    )
+    return Scores(
+        *near,
+        *general[:4],
+        num_true=truth.exists.sum(1),
+        num_reported=estimates.exists.sum(1),
+        num_expected=estimates.existence_prob.sum(1),
+        log_evidence=estimates.log_evidence,
+        dropped=estimates.dropped,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("tracker", "max_detections"))
+def score_chunk(
+    tracker: Tracker,
+    max_detections: int,
+    params: PyTree,
+    world: World,
+    cutoff: Array,
+    order: Array,
+    keys: Array,
+) -> Scores:
+    """Simulates, tracks and scores one run per key [R]; each score is [R, T]."""
+
+    def one(key: Array) -> Scores:
+        _, estimates = simulate_and_run(tracker, params, world, max_detections, key)
+        return score(world.truth, world.motion, estimates, cutoff, order)
+
+    return jax.vmap(one)(keys)

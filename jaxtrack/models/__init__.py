@@ -1,0 +1,33 @@
+"""Models: tuples of learnable values whose pure methods give functions and matrices.
+
+Write `models.motion.ConstantVelocity(...)`; exchanging a model never touches a tracker.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack import models
+    >>> models.motion.ConstantVelocity(noise_density=jnp.ones(2)).dim
+    4
+"""
+
+from jaxtrack.models import (
+    birth,
+    clutter,
+    motion,
+    polar,
+    probability,
+    sensor,
+    special,
+    switching,
+    turn,
+)
+
+__all__ = [
+    "birth",
+    "clutter",
+    "motion",
+    "polar",
+    "probability",
+    "sensor",
+    "special",
+    "switching",
+    "turn",
+]

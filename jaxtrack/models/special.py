@@ -1,0 +1,76 @@
+"""What the models are written with: blocks, and functions smooth at zero.
+
+The usual forms, such as sin(a)/a or (exp(z) - 1 - z)/z^2, are 0/0 at zero and lose
+their digits near it. These keep values and derivatives there.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.models import special
+    >>> print(jnp.stack(special.exponentials(jnp.array(0.0), 2)))
+    [1.  1.  0.5]
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxtrack import linalg
+from jaxtrack.types import Array
+
+
+def block_diagonal(blocks: Sequence[Sequence[Sequence[Any]]]) -> Array:
+    """Returns the matrix with these square blocks, of entries, on its diagonal."""
+    size = len(blocks[0])
+    dim = size * len(blocks)
+    entries: list[list[Any]] = [[0.0] * dim for _ in range(dim)]
+    for axis, block in enumerate(blocks):
+        for i, row in enumerate(block):
+            entries[axis * size + i][axis * size : (axis + 1) * size] = row
+    return linalg.rows(entries)
+
+
+def scaled_blocks(block: Sequence[Sequence[Any]], scale: Array) -> Array:
+    """Returns the block-diagonal matrix of one block, of entries, times scale [P]."""
+    return block_diagonal([[[s * x for x in row] for row in block] for s in scale])
+
+
+def diagonal(std: Array) -> Array:
+    """Returns the covariance [Z, Z] of independent errors, std [Z]."""
+    size = range(len(std))
+    return linalg.rows([[std[i] ** 2 if i == j else 0.0 for j in size] for i in size])
+
+
+def exponentials(z: Array, order: int) -> list[Array]:
+    """Returns phi_0(z) to phi_order(z), where phi_k(z) = sum_n z^n / (n + k)!.
+
+    phi_0 is the exponential and phi_k(z) = (phi_{k-1}(z) - 1 / (k-1)!) / z, a recursion
+    that loses digits for small z; there the last one is summed and it runs backwards.
+    """
+    small = jnp.abs(z) < 2
+    near, far = jnp.where(small, z, 0.0), jnp.where(small, -2.0, z)
+    last = jnp.zeros_like(z)
+    for n in reversed(range(24)):
+        last = last * near + 1 / math.factorial(n + order)
+    below, above = [last], [jnp.exp(far)]
+    for k in reversed(range(order)):
+        below.insert(0, near * below[0] + 1 / math.factorial(k))
+    for k in range(order):
+        above.append((above[-1] - 1 / math.factorial(k)) / far)
+    return [jnp.where(small, *pair) for pair in zip(below, above, strict=True)]
+
+
+def circular(angle: Array) -> tuple[Array, Array, Array, Array]:
+    """Returns cos(a), sin(a)/a, (1 - cos(a))/a^2 and (a - sin(a))/a^3, smooth at 0."""
+    small = jnp.abs(angle) < 1
+    near, far = jnp.where(small, angle, 0.0), jnp.where(small, 1.0, angle)
+    square = -(near**2)
+    two = three = jnp.zeros_like(angle)
+    for n in reversed(range(9)):
+        two = two * square + 1 / math.factorial(2 * n + 2)
+        three = three * square + 1 / math.factorial(2 * n + 3)
+    cos, sin = jnp.cos(far), jnp.sin(far)
+    below = (1 + square * two, 1 + square * three, two, three)
+    above = (cos, sin / far, (1 - cos) / far**2, (far - sin) / far**3)
+    one, *rest = (jnp.where(small, *pair) for pair in zip(below, above, strict=True))
+    return one, rest[0], rest[1], rest[2]

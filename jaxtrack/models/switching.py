@@ -1,0 +1,89 @@
+"""Markov switching between motion modes.
+
+`log_transition(interval)` is log p [M, M], p[i, j] = P(mode j now | mode i before);
+rows sum to one, and what cannot happen is -inf.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.models.switching import SojournSwitching
+    >>> modes = SojournSwitching(mean_sojourn=jnp.array([10.0, 5.0]),
+    ...                          jump_prob=jnp.array([[0.0, 1.0], [1.0, 0.0]]))
+    >>> print((1000 * jnp.exp(modes.log_transition(1.0))).round())
+    [[914.  86.]
+     [173. 827.]]
+
+Reference for continuous time: Jensen, "Markoff chains as an aid in the study of Markoff
+processes", Scandinavian Actuarial Journal 1953 (uniformisation).
+"""
+
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.types import Array
+
+TERMS = 16  # of the exponential series, for arguments up to 1
+SQUARINGS = 10  # so that intervals up to 1024 shortest sojourns are exact
+
+
+class MarkovSwitching(NamedTuple):
+    """Switches between scans, with the same probabilities whatever the interval.
+
+    Attributes:
+        transition: p[i, j] = P(mode j now | mode i before), rows sum to one, [M, M].
+    """
+
+    transition: Array
+
+    def log_transition(self, interval: Array) -> Array:
+        """Returns log p, [M, M]."""
+        del interval
+        return _log(jnp.asarray(self.transition, float))
+
+
+class SojournSwitching(NamedTuple):
+    """Switches in continuous time, so that two half intervals equal a whole one.
+
+    Attributes:
+        mean_sojourn: Mean seconds until a mode is left, [M].
+        jump_prob: Where it then goes, rows summing to one off the diagonal, which is
+            not looked at, [M, M].
+    """
+
+    mean_sojourn: Array
+    jump_prob: Array
+
+    def log_transition(self, interval: Array) -> Array:
+        """Returns the log of the matrix exponential of rate * interval, [M, M].
+
+        Summed from terms that are not negative, so that even the smallest
+        probabilities have all their digits and none is below zero.
+        """
+        num = len(self.mean_sojourn)
+        chex.assert_shape(self.jump_prob, (num, num))
+        eye = jnp.eye(num)
+        t = jnp.asarray(interval, float) / 2**SQUARINGS
+        leaving = self.jump_prob * (1 - eye) * (t / self.mean_sojourn)[:, None]
+        total = leaving.sum(1)
+        # A shift of the diagonal only scales the exponential, and rows are scaled to
+        # one anyway.
+        shift = jax.lax.stop_gradient(total.max())
+        step = leaving + eye * (shift - total)[:, None]
+
+        def term(i: Array, partial: Array) -> Array:
+            return eye + step @ partial / (TERMS - i)
+
+        def square(_: Array, partial: Array) -> Array:
+            partial = partial @ partial
+            return partial / partial.sum(1, keepdims=True)
+
+        prob = jax.lax.fori_loop(0, TERMS, term, eye)
+        prob = prob / prob.sum(1, keepdims=True)
+        return _log(jax.lax.fori_loop(0, SQUARINGS, square, prob))
+
+
+def _log(prob: Array) -> Array:
+    """Returns the log, and -inf with gradient 0 where nothing is possible."""
+    possible = prob > 0
+    return jnp.where(possible, jnp.log(jnp.where(possible, prob, 1.0)), -jnp.inf)

@@ -1,0 +1,44 @@
+"""Published experiments, one file each: what is compared, and against which numbers.
+
+    >>> from jaxtrack import scenarios
+    >>> print(scenarios.make("yuan2013-linear", clutter_rate=60.0).summary)
+    four maneuvering targets, position sensor (Yuan 2013, section 6.2)
+"""
+
+import inspect
+from typing import Any
+
+from jaxtrack.scenarios import yuan2013_linear
+from jaxtrack.scenarios.world import Maker, Scenario
+
+MAKERS: dict[str, Maker] = {
+    "yuan2013-linear": yuan2013_linear.make,
+}
+
+
+def make(name: str, **settings: Any) -> Scenario:
+    """Makes a scenario by its name.
+
+    Args:
+        name: One of `MAKERS`.
+        **settings: Keyword arguments of its maker, e.g. clutter_rate=60.0.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        ValueError: Unknown name or setting.
+    """
+    if name not in MAKERS:
+        raise ValueError(f"no scenario is called {name!r}; there are {_list(MAKERS)}")
+    known = inspect.signature(MAKERS[name]).parameters
+    for setting in settings:
+        if setting not in known:
+            raise ValueError(
+                f"{name} has no setting {setting!r}; it has {_list(known)}"
+            )
+    return MAKERS[name](**settings)
+
+
+def _list(names: Any) -> str:
+    return ", ".join(sorted(names))

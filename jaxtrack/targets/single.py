@@ -1,0 +1,111 @@
+"""A target whose belief is one Gaussian: the KF, EKF, UKF and CKF.
+
+Which of them it is follows from the linearisation: with linear models all are the
+Kalman filter; with nonlinear ones `linearize.taylor` gives the extended, `unscented`
+the unscented and `cubature` the cubature filter. Probabilities of survival and of
+detection that depend on the state are taken at the mean.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack import models
+    >>> from jaxtrack.targets import single
+    >>> from jaxtrack.types import Gaussian
+    >>> params = single.Params(
+    ...     motion=models.motion.ConstantVelocity(noise_density=jnp.ones(1)),
+    ...     sensor=models.sensor.Position(noise_std=jnp.ones(1)),
+    ...     survive=models.probability.Constant(jnp.array(0.99)),
+    ...     detect=models.probability.Constant(jnp.array(0.9)),
+    ... )
+    >>> target = single.single()
+    >>> belief = Gaussian(jnp.zeros(2), jnp.eye(2))
+    >>> belief, log_survive = target.predict(params, belief, jnp.array(2.0))
+    >>> print(belief.mean.shape, jnp.exp(log_survive).round(2))
+    (2,) 0.99
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import kalman, linearize, mixture
+from jaxtrack.linalg import safe_log
+from jaxtrack.models.sensor import untimed
+from jaxtrack.types import Array, Gaussian, Mixture, Target
+
+
+class Params(NamedTuple):
+    """Everything that may be learned.
+
+    Attributes:
+        motion: A model of `models.motion` or `models.turn`.
+        sensor: A model of `models.sensor`.
+        survive: Probability to survive one interval, of `models.probability`.
+        detect: Probability of detection, of `models.probability`.
+    """
+
+    motion: Any
+    sensor: Any
+    survive: Any
+    detect: Any
+
+    @property
+    def layout(self) -> Any:
+        """Returns a motion model that says where positions and velocities stand."""
+        return self.motion
+
+
+@functools.cache
+def single(method: linearize.Method = linearize.taylor) -> Target:
+    """Makes a target whose belief is a single `Gaussian`.
+
+    Args:
+        method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
+            are linear.
+    """
+
+    def begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Gaussian:
+        del params, mode_prob, key
+        return prior
+
+    def predict(
+        params: Params, belief: Gaussian, interval: Array
+    ) -> tuple[Gaussian, Array]:
+        log_survive = safe_log(params.survive.prob(0, belief.mean, interval))
+        motion = linearize.motion_affine(params.motion, belief, interval, method)
+        return kalman.predict(belief, motion), log_survive
+
+    def miss(params: Params, belief: Gaussian) -> tuple[Gaussian, Array]:
+        return belief, safe_log(1 - _detect_prob(params, belief))
+
+    def score(params: Params, belief: Gaussian, detections: Array) -> Array:
+        def one(detection: Array) -> Array:
+            sensor, plain = untimed(params.sensor, detection)
+            affine = linearize.sensor_affine(sensor, params.motion, belief, method)
+            return kalman.log_density(belief, affine, plain, sensor.residual)
+
+        return safe_log(_detect_prob(params, belief)) + jax.vmap(one)(detections)
+
+    def correct(params: Params, belief: Gaussian, detection: Array) -> Gaussian:
+        sensor, plain = untimed(params.sensor, detection)
+        affine = linearize.sensor_affine(sensor, params.motion, belief, method)
+        return kalman.update(belief, affine, plain, sensor.residual)[0]
+
+    def collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:
+        return mixture.collapse(Mixture(log_weight, beliefs.mean, beliefs.cov))
+
+    return Target(
+        begin=begin,
+        predict=predict,
+        miss=miss,
+        score=score,
+        correct=correct,
+        collapse=collapse,
+        moments=lambda belief: belief,
+        modes=lambda belief: jnp.ones(1, belief.mean.dtype),
+        lost=lambda belief: jnp.zeros((), belief.mean.dtype),
+    )
+
+
+def _detect_prob(params: Params, belief: Gaussian) -> Array:
+    return params.detect.prob(0, belief.mean, jnp.zeros(()))
