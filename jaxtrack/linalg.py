@@ -39,7 +39,9 @@ def rows(entries: Sequence[Sequence[Any]]) -> Array:
     dtype = jnp.result_type(float, *(x for row in entries for x in row))
     if arrays := [x for row in entries for x in row if not isinstance(x, int | float)]:
         dtype = jnp.result_type(*arrays)  # float32 values stay float32
-    return jnp.stack([jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in entries])
+    return jnp.stack(
+        [jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in entries]
+    )
 
 
 def safe_log(value: Array) -> Array:

@@ -125,7 +125,9 @@ def _regress(
     return Affine(matrix, centre + mean - matrix @ belief.mean, cov + unexplained)
 
 
-def motion_affine(motion: Any, belief: Gaussian, interval: Array, method: Method) -> Affine:
+def motion_affine(
+    motion: Any, belief: Gaussian, interval: Array, method: Method
+) -> Affine:
     """Makes the affine model of one move; a linear motion is taken as it is.
 
     Args:

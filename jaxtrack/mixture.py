@@ -110,7 +110,9 @@ def cap(mixture: Mixture, max_components: int) -> tuple[Mixture, Array]:
     log_weight, kept = jax.lax.top_k(mixture.log_weight, max_components)
     before, after = total(mixture.log_weight), total(log_weight)
     lost = jnp.where(before > -jnp.inf, -jnp.expm1(_difference(after, before)), 0.0)
-    capped = Mixture(_rescale(log_weight, before), mixture.mean[kept], mixture.cov[kept])
+    capped = Mixture(
+        _rescale(log_weight, before), mixture.mean[kept], mixture.cov[kept]
+    )
     return capped, jnp.maximum(lost, 0.0)
 
 
@@ -228,4 +230,6 @@ def _rescale(log_weight: Array, log_total: Array) -> Array:
 def _difference(left: Array, right: Array) -> Array:
     """Returns left - right, and 0 where both are -inf."""
     both = (left == -jnp.inf) & (right == -jnp.inf)
-    return jnp.where(both, 0.0, jnp.where(both, 0.0, left) - jnp.where(both, 0.0, right))
+    return jnp.where(
+        both, 0.0, jnp.where(both, 0.0, left) - jnp.where(both, 0.0, right)
+    )

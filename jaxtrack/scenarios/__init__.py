@@ -1,18 +1,24 @@
 """Published experiments, one file each: what is compared, and against which numbers.
 
-    >>> from jaxtrack import scenarios
-    >>> print(scenarios.make("yuan2013-linear", clutter_rate=60.0).summary)
-    four maneuvering targets, position sensor (Yuan 2013, section 6.2)
+>>> from jaxtrack import scenarios
+>>> print(scenarios.make("yuan2013-linear", clutter_rate=60.0).summary)
+four maneuvering targets, position sensor (Yuan 2013, section 6.2)
 """
 
 import inspect
 from typing import Any
 
-from jaxtrack.scenarios import yuan2013_linear
+from jaxtrack.scenarios import (
+    turning_aircraft,
+    yuan2013_linear,
+    yuan2013_range_bearing,
+)
 from jaxtrack.scenarios.world import Maker, Scenario
 
 MAKERS: dict[str, Maker] = {
+    "turning-aircraft": turning_aircraft.make,
     "yuan2013-linear": yuan2013_linear.make,
+    "yuan2013-range-bearing": yuan2013_range_bearing.make,
 }
 
 

@@ -1,15 +1,15 @@
 """What a scenario is made of, and how its sensor sees the truth.
 
-    >>> import jax, jax.numpy as jnp
-    >>> from jaxtrack import models
-    >>> from jaxtrack.scenarios import world
-    >>> truth = world.Truth(jnp.zeros((3, 1, 4)), jnp.ones((3, 1), bool), jnp.arange(3.0))
-    >>> seen = world.observe(
-    ...     jax.random.key(0), truth, models.motion.ConstantVelocity(jnp.ones(2)),
-    ...     models.sensor.Position(jnp.ones(2)), models.probability.Constant(1.0),
-    ...     models.clutter.UniformClutter(0.0, -jnp.ones(2), jnp.ones(2)), 4)
-    >>> print(seen.valid.sum(1), seen.interval)
-    [1 1 1] [1. 1. 1.]
+>>> import jax, jax.numpy as jnp
+>>> from jaxtrack import models
+>>> from jaxtrack.scenarios import world
+>>> truth = world.Truth(jnp.zeros((3, 1, 4)), jnp.ones((3, 1), bool), jnp.arange(3.0))
+>>> seen = world.observe(
+...     jax.random.key(0), truth, models.motion.ConstantVelocity(jnp.ones(2)),
+...     models.sensor.Position(jnp.ones(2)), models.probability.Constant(1.0),
+...     models.clutter.UniformClutter(0.0, -jnp.ones(2), jnp.ones(2)), 4)
+>>> print(seen.valid.sum(1), seen.interval)
+[1 1 1] [1. 1. 1.]
 """
 
 from collections.abc import Callable, Mapping
@@ -74,7 +74,7 @@ class Scenario(NamedTuple):
     max_detections: int
     cutoff: float
     order: float
-    published: Mapping[str, Mapping[float, float]]
+    published: Mapping[str, Mapping[int, float]]
 
     def simulate(self, key: Array) -> tuple[Truth, Scan]:
         """Draws one run: the truth, and scans with a leading T."""

@@ -11,11 +11,11 @@ of its model set, stay in its region and keep to the times of Table 1:
     4        20 s   50 s   (-600,  24,  800, -10)     straight to 30 s, then -pi/30
 
 The truth has no process noise: all runs share the trajectories, as in the paper, and
-differ in noise, misses and clutter. Each target exists from its first to its last second.
+differ in noise, misses and clutter. A target exists from its first to its last second.
 
     >>> from jaxtrack.scenarios import yuan2013
-    >>> yuan2013.truth().exists.sum(1).max()
-    Array(3, dtype=int32)
+    >>> print(yuan2013.truth().exists.sum(1).max())
+    4
 """
 
 import math

@@ -3,9 +3,9 @@
 Printed, and used: the region, Table 1, the five modes (straight, and turns of pi/30,
 -pi/30, pi/20 and pi/15 rad/s), accelerations of 0.1 and 0.2 m/s^2 held for one scan
 (equation 42), the transition matrix of equation 48, sensor noise of 8 m an axis, p_D =
-p_S = 0.95, births with covariance diag(400, 400, 400, 400) and equal odds for the modes,
-clutter uniform over the region, tracks pruned at 0.001, components at 1e-5 and merged at
-4, OSPA of order 2 with cutoff 100 m.
+p_S = 0.95, births with covariance diag(400, 400, 400, 400) and equal odds for the
+modes, clutter uniform over the region, tracks pruned at 0.001, components at 1e-5 and
+merged at 4, OSPA of order 2 with cutoff 100 m.
 
 Not printed, and chosen: the initial velocities (see `yuan2013`); 4 is read as a squared
 Mahalanobis distance, as in the paper's reference code; the capacity of 100 components a

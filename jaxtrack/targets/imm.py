@@ -6,10 +6,12 @@ The modes may be any motions over the same state; they share one sensor.
     >>> from jaxtrack import models
     >>> from jaxtrack.targets import imm
     >>> from jaxtrack.types import Gaussian
-    >>> smooth, rough = (models.motion.ConstantVelocity(q * jnp.ones(1)) for q in (0.1, 9))
+    >>> smooth, rough = (
+    ...     models.motion.ConstantVelocity(q * jnp.ones(1)) for q in (0.1, 9.0))
     >>> params = imm.Params(
     ...     motions=(smooth, rough),
-    ...     switching=models.switching.MarkovSwitching(jnp.array([[0.9, 0.1], [0.2, 0.8]])),
+    ...     switching=models.switching.MarkovSwitching(
+    ...         jnp.array([[0.9, 0.1], [0.2, 0.8]])),
     ...     sensor=models.sensor.Position(noise_std=jnp.ones(1)),
     ...     survive=models.probability.Constant(jnp.array(0.99)),
     ...     detect=models.probability.Constant(jnp.array(0.9)),
@@ -34,7 +36,7 @@ from jaxtrack import imm as bank_of_modes
 from jaxtrack import kalman, linearize, mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.sensor import untimed
-from jaxtrack.types import Array, Gaussian, Mixture, Target
+from jaxtrack.types import Affine, Array, Gaussian, Mixture, Target
 
 
 class Params(NamedTuple):
@@ -68,66 +70,20 @@ def imm(method: linearize.Method = linearize.taylor) -> Target:
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
     """
-
-    def predict(params: Params, bank: Mixture, interval: Array) -> tuple[Mixture, Array]:
-        survive = mode_prob(params.survive, bank, interval)
-        alive = bank._replace(log_weight=bank.log_weight + safe_log(survive))
-        log_survive = mixture.total(alive.log_weight)
-        mixed = bank_of_modes.mix(_normalised(alive), params.switching.log_transition(interval))
-        motions = [
-            linearize.motion_affine(motion, belief, interval, method)
-            for motion, belief in zip(params.motions, _beliefs(mixed), strict=True)
-        ]
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
-        return bank_of_modes.predict(mixed, stacked), log_survive
-
-    def miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:
-        detect = mode_prob(params.detect, bank, jnp.zeros(()))
-        missed = bank._replace(log_weight=bank.log_weight + safe_log(1 - detect))
-        return _normalised(missed), mixture.total(missed.log_weight)
-
-    def score(params: Params, bank: Mixture, detections: Array) -> Array:
-        log_detect = safe_log(mode_prob(params.detect, bank, jnp.zeros(())))
-
-        def one(detection: Array) -> Array:
-            sensor, plain = untimed(params.sensor, detection)
-
-            def in_mode(belief: Gaussian) -> Array:
-                motion = params.layout  # all modes share one state
-                affine = linearize.sensor_affine(sensor, motion, belief, method)
-                return kalman.log_density(belief, affine, plain, sensor.residual)
-
-            log_density = jax.vmap(in_mode)(Gaussian(bank.mean, bank.cov))
-            return mixture.total(bank.log_weight + log_detect + log_density)
-
-        return jax.vmap(one)(detections)
-
-    def correct(params: Params, bank: Mixture, detection: Array) -> Mixture:
-        log_detect = safe_log(mode_prob(params.detect, bank, jnp.zeros(())))
-        detected = bank._replace(log_weight=bank.log_weight + log_detect)
-        sensor, plain = untimed(params.sensor, detection)
-        sensors = jax.vmap(
-            lambda belief: linearize.sensor_affine(
-                sensor, params.layout, belief, method
-            )
-        )(Gaussian(bank.mean, bank.cov))
-        return bank_of_modes.update(detected, sensors, plain, sensor.residual)[0]
-
     return Target(
-        begin=begin,
-        predict=predict,
-        miss=miss,
-        score=score,
-        correct=correct,
-        collapse=collapse,
+        begin=_begin,
+        predict=functools.partial(_predict, method),
+        miss=_miss,
+        score=functools.partial(_score, method),
+        correct=functools.partial(_correct, method),
+        collapse=_collapse,
         moments=mixture.collapse,
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),
     )
 
 
-def begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Mixture:
-    """Starts every mode at the prior: mean [D], cov [D, D], mode_prob [M]."""
+def _begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Mixture:
     del params, key
     size = mode_prob.size
     mean = jnp.broadcast_to(prior.mean[None], (size, *prior.mean.shape))
@@ -135,35 +91,74 @@ def begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Mixt
     return Mixture(safe_log(mode_prob), mean, cov)
 
 
-def collapse(log_weight: Array, banks: Mixture) -> Mixture:
+def _predict(
+    method: linearize.Method, params: Params, bank: Mixture, interval: Array
+) -> tuple[Mixture, Array]:
+    survive = _prob(params.survive, bank, interval)
+    alive = bank._replace(log_weight=bank.log_weight + safe_log(survive))
+    log_survive = mixture.total(alive.log_weight)
+
+    log_transition = params.switching.log_transition(interval)
+    mixed = bank_of_modes.mix(_normalised(alive), log_transition)
+    motions = [
+        linearize.motion_affine(motion, Gaussian(mean, cov), interval, method)
+        for motion, mean, cov in zip(params.motions, mixed.mean, mixed.cov, strict=True)
+    ]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
+    return bank_of_modes.predict(mixed, stacked), log_survive
+
+
+def _miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:
+    log_miss = safe_log(1 - _prob(params.detect, bank))
+    missed = bank._replace(log_weight=bank.log_weight + log_miss)
+    return _normalised(missed), mixture.total(missed.log_weight)
+
+
+def _score(
+    method: linearize.Method, params: Params, bank: Mixture, detections: Array
+) -> Array:
+    log_detect = safe_log(_prob(params.detect, bank))
+
+    def one(detection: Array) -> Array:
+        sensor, plain = untimed(params.sensor, detection)
+
+        def in_mode(belief: Gaussian) -> Array:
+            affine = linearize.sensor_affine(sensor, params.layout, belief, method)
+            return kalman.log_density(belief, affine, plain, sensor.residual)
+
+        log_density = jax.vmap(in_mode)(Gaussian(bank.mean, bank.cov))
+        return mixture.total(bank.log_weight + log_detect + log_density)
+
+    return jax.vmap(one)(detections)
+
+
+def _correct(
+    method: linearize.Method, params: Params, bank: Mixture, detection: Array
+) -> Mixture:
+    sensor, plain = untimed(params.sensor, detection)
+
+    def in_mode(belief: Gaussian) -> Affine:
+        return linearize.sensor_affine(sensor, params.layout, belief, method)
+
+    sensors = jax.vmap(in_mode)(Gaussian(bank.mean, bank.cov))
+    log_detect = safe_log(_prob(params.detect, bank))
+    detected = bank._replace(log_weight=bank.log_weight + log_detect)
+    return bank_of_modes.update(detected, sensors, plain, sensor.residual)[0]
+
+
+def _collapse(log_weight: Array, banks: Mixture) -> Mixture:
     """Merges N banks mode by mode: log_weight [N], banks of [N, M] components."""
     log_joint = mixture.log_normalise(log_weight)[:, None] + banks.log_weight
     weight = jax.vmap(mixture.normalise, 1)(log_joint)  # [M, N]
     merged = jax.vmap(mixture.moment_match, (0, 1, 1))(weight, banks.mean, banks.cov)
-    return Mixture(
-        jax.vmap(mixture.total, 1)(log_joint), merged.mean, merged.cov
-    )
+    return Mixture(jax.vmap(mixture.total, 1)(log_joint), merged.mean, merged.cov)
 
 
-def mode_prob(model: Any, bank: Mixture, interval: Array) -> Array:
-    """Evaluates a probability in every mode, at its mean.
-
-    Args:
-        model: Of `models.probability`.
-        bank: log_weight [M], mean [M, D], cov [M, D, D].
-        interval: Seconds.
-
-    Returns:
-        [M].
-    """
+def _prob(model: Any, bank: Mixture, interval: Array | float = 0.0) -> Array:
+    """Evaluates a probability in every mode, at its mean: [M]."""
     modes = jnp.arange(bank.log_weight.size)
     return jax.vmap(model.prob, (0, 0, None))(modes, bank.mean, interval)
 
 
 def _normalised(bank: Mixture) -> Mixture:
     return bank._replace(log_weight=mixture.log_normalise(bank.log_weight))
-
-
-
-def _beliefs(bank: Mixture) -> list[Gaussian]:
-    return [Gaussian(m, p) for m, p in zip(bank.mean, bank.cov, strict=True)]

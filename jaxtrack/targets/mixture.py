@@ -1,11 +1,10 @@
-"""A target whose belief is a Gaussian mixture in every mode: jump Markov, exact but
-for the reduction.
+"""A target whose belief is a Gaussian mixture in every mode: jump Markov.
 
-Each scan multiplies the components: mode n is entered from every component of every
-mode. They are pruned, merged and capped to `max_components` a mode before the motion,
-and again whenever beliefs are collapsed. With one component a mode that absorbs all
-others this is the IMM filter (`targets.imm`); with one mode it is the Gaussian mixture
-of the single-model filters.
+It is exact but for the reduction. Each scan multiplies the components: mode n is
+entered from every component of every mode. They are pruned, merged and capped to
+`max_components` a mode before the motion, and again whenever beliefs are collapsed.
+With one component a mode that absorbs all others this is the IMM filter
+(`targets.imm`); with one mode it is the Gaussian mixture of the single-model filters.
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack import models
@@ -113,8 +112,8 @@ def _check(reduction: Reduction) -> None:
         )
     if not 0 <= reduction.prune_threshold < 1:
         raise ValueError(
-            f"prune_threshold is {reduction.prune_threshold}; give a share of the weight "
-            "from 0 up to 1, e.g. 1e-5"
+            f"prune_threshold is {reduction.prune_threshold}; give a share of the "
+            "weight from 0 up to 1, e.g. 1e-5"
         )
     if not reduction.merge_threshold >= 0:
         raise ValueError(
@@ -160,7 +159,9 @@ def _predict(
     moved = []
     for n, motion in enumerate(params.motions):
         start = Gaussian(mixed.mean[n], mixed.cov[n])
-        moved.append(jax.vmap(functools.partial(_move, motion, interval, method))(start))
+        moved.append(
+            jax.vmap(functools.partial(_move, motion, interval, method))(start)
+        )
     mean, cov = jax.tree.map(lambda *leaves: jnp.stack(leaves), *moved)
     return mixed._replace(mean=mean, cov=cov), log_survive
 
@@ -173,7 +174,7 @@ def _move(
 
 
 def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
-    detect = _prob(params.detect, belief, jnp.zeros(()))
+    detect = _prob(params.detect, belief)
     missed = _reweight(belief, safe_log(1 - detect))
     return _normalised(missed), gaussians.total(missed.log_weight.ravel())
 
@@ -181,7 +182,7 @@ def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
 def _score(
     method: linearize.Method, params: Params, belief: Belief, detections: Array
 ) -> Array:
-    log_detect = safe_log(_prob(params.detect, belief, jnp.zeros(())))
+    log_detect = safe_log(_prob(params.detect, belief))
 
     def one(detection: Array) -> Array:
         sensor, plain = untimed(params.sensor, detection)
@@ -207,7 +208,7 @@ def _correct(
         affine = linearize.sensor_affine(sensor, motion, component, method)
         return kalman.update(component, affine, plain, sensor.residual)
 
-    log_detect = safe_log(_prob(params.detect, belief, jnp.zeros(())))
+    log_detect = safe_log(_prob(params.detect, belief))
     posterior, log_density = jax.vmap(jax.vmap(in_component))(_gaussians(belief))
     corrected = belief._replace(mean=posterior.mean, cov=posterior.cov)
     return _normalised(_reweight(corrected, log_detect + log_density))
@@ -251,7 +252,7 @@ def _moments(belief: Belief) -> Gaussian:
     return gaussians.collapse(Mixture(*flat))
 
 
-def _prob(model: Any, belief: Belief, interval: Array) -> Array:
+def _prob(model: Any, belief: Belief, interval: Array | float = 0.0) -> Array:
     """Evaluates a probability in every component, at its mean: [M, N]."""
     modes = jnp.arange(belief.mean.shape[0])
     per_mode = jax.vmap(model.prob, (None, 0, None))

@@ -63,49 +63,58 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
     """
-
-    def begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Gaussian:
-        del params, mode_prob, key
-        return prior
-
-    def predict(
-        params: Params, belief: Gaussian, interval: Array
-    ) -> tuple[Gaussian, Array]:
-        log_survive = safe_log(params.survive.prob(0, belief.mean, interval))
-        motion = linearize.motion_affine(params.motion, belief, interval, method)
-        return kalman.predict(belief, motion), log_survive
-
-    def miss(params: Params, belief: Gaussian) -> tuple[Gaussian, Array]:
-        return belief, safe_log(1 - _detect_prob(params, belief))
-
-    def score(params: Params, belief: Gaussian, detections: Array) -> Array:
-        def one(detection: Array) -> Array:
-            sensor, plain = untimed(params.sensor, detection)
-            affine = linearize.sensor_affine(sensor, params.motion, belief, method)
-            return kalman.log_density(belief, affine, plain, sensor.residual)
-
-        return safe_log(_detect_prob(params, belief)) + jax.vmap(one)(detections)
-
-    def correct(params: Params, belief: Gaussian, detection: Array) -> Gaussian:
-        sensor, plain = untimed(params.sensor, detection)
-        affine = linearize.sensor_affine(sensor, params.motion, belief, method)
-        return kalman.update(belief, affine, plain, sensor.residual)[0]
-
-    def collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:
-        return mixture.collapse(Mixture(log_weight, beliefs.mean, beliefs.cov))
-
     return Target(
-        begin=begin,
-        predict=predict,
-        miss=miss,
-        score=score,
-        correct=correct,
-        collapse=collapse,
+        begin=_begin,
+        predict=functools.partial(_predict, method),
+        miss=_miss,
+        score=functools.partial(_score, method),
+        correct=functools.partial(_correct, method),
+        collapse=_collapse,
         moments=lambda belief: belief,
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
     )
 
 
+def _begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Gaussian:
+    del params, mode_prob, key
+    return prior
+
+
+def _predict(
+    method: linearize.Method, params: Params, belief: Gaussian, interval: Array
+) -> tuple[Gaussian, Array]:
+    log_survive = safe_log(params.survive.prob(0, belief.mean, interval))
+    motion = linearize.motion_affine(params.motion, belief, interval, method)
+    return kalman.predict(belief, motion), log_survive
+
+
+def _miss(params: Params, belief: Gaussian) -> tuple[Gaussian, Array]:
+    return belief, safe_log(1 - _detect_prob(params, belief))
+
+
+def _score(
+    method: linearize.Method, params: Params, belief: Gaussian, detections: Array
+) -> Array:
+    def one(detection: Array) -> Array:
+        sensor, plain = untimed(params.sensor, detection)
+        affine = linearize.sensor_affine(sensor, params.motion, belief, method)
+        return kalman.log_density(belief, affine, plain, sensor.residual)
+
+    return safe_log(_detect_prob(params, belief)) + jax.vmap(one)(detections)
+
+
+def _correct(
+    method: linearize.Method, params: Params, belief: Gaussian, detection: Array
+) -> Gaussian:
+    sensor, plain = untimed(params.sensor, detection)
+    affine = linearize.sensor_affine(sensor, params.motion, belief, method)
+    return kalman.update(belief, affine, plain, sensor.residual)[0]
+
+
+def _collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:
+    return mixture.collapse(Mixture(log_weight, beliefs.mean, beliefs.cov))
+
+
 def _detect_prob(params: Params, belief: Gaussian) -> Array:
-    return params.detect.prob(0, belief.mean, jnp.zeros(()))
+    return params.detect.prob(0, belief.mean, 0.0)

@@ -4,13 +4,13 @@ The belief about all targets is a set of independent tracks, each with a probabi
 that it exists. One scan is
 
     tracks = predict(tracks) + births               # each may die, new ones may appear
-    for each track:      a legacy track             # it was missed
-    for each detection:  an updated track           # it caused the detection, whoever it is
-    keep the likeliest tracks, report those that exist with more than even odds
+    for each track:      a legacy track             # it was missed for each detection:
+    an updated track           # it caused it, whoever it is keep the
+    likeliest tracks, report those that exist with more than even odds
 
-`cbmember(target=mixture(...))` with several modes is the GM-MM-CBMeMBer filter, with one
-mode the GM-CBMeMBer filter; with a nonlinear model and `linearize.taylor` or `unscented`
-it is the EK or UK form; `cbmember(target=imm())` keeps one Gaussian a mode.
+`cbmember(target=mixture(...))` with several modes is the GM-MM-CBMeMBer filter, with
+one mode the GM-CBMeMBer filter; with a nonlinear model and `linearize.taylor` or
+`unscented` it is the EK or UK form; `cbmember(target=imm())` keeps one Gaussian a mode.
 
 Labels (left open by the paper) follow ancestry: a legacy track keeps its label, an
 updated track takes that of the track that explains its detection best, a newborn gets a
@@ -24,11 +24,16 @@ a track. It is the normaliser that the filter's own update uses.
 The approximation wants a probability of detection near one: a track that exists almost
 surely passes only (1 - r) / (1 - r p_D) of its existence on to its detection.
 
+    >>> from jaxtrack import targets, trackers
+    >>> tracker = trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
+    >>> tracker is trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
+    True
+
 References: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget multi-
-Bernoulli filter for tracking maneuvering targets", 2013, equations 6 to 13 and 30 to 36,
-Algorithm 1; Vo, Vo and Cantoni, "The cardinality balanced multi-target multi-Bernoulli
-filter and its implementations", IEEE Trans. Signal Processing 57(2), 2009, whose
-denominators hold where the paper's print slips.
+Bernoulli filter for tracking maneuvering targets", 2013, equations 6 to 13 and 30 to
+36, Algorithm 1; Vo, Vo and Cantoni, "The cardinality balanced multi-target
+multi-Bernoulli filter and its implementations", IEEE Trans. Signal Processing 57(2),
+2009, whose denominators hold where the paper's print slips.
 """
 
 import functools
@@ -40,7 +45,9 @@ import jax.numpy as jnp
 from jaxtrack import mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth
-from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target, Tracker
+from jaxtrack.trackers import bernoulli
+from jaxtrack.trackers.bernoulli import Estimate, Tracks
+from jaxtrack.types import Array, PyTree, Scan, Target, Tracker
 
 
 class Params(NamedTuple):
@@ -58,44 +65,12 @@ class Params(NamedTuple):
     clutter: Any
 
 
-class Tracks(NamedTuple):
-    """N slots: existence_prob [N] (0 marks an empty one), belief [N, ...], label [N]."""
-
-    existence_prob: Array
-    belief: PyTree
-    label: Array
-
-
 class State(NamedTuple):
     """What the next scan needs: the tracks, the next free label, a random key."""
 
     tracks: Tracks
     next_label: Array
     key: Array
-
-
-class Estimate(NamedTuple):
-    """What a scan taught, for the user; slots are sorted by existence probability.
-
-    Attributes:
-        mean: [N, D].
-        cov: [N, D, D].
-        label: Which target it is, [N] (int).
-        exists: Report this one, [N] (bool).
-        existence_prob: [N]; its sum is the expected number of targets.
-        mode_prob: [N, M].
-        log_evidence: Log-density of the scan given the past, see the module.
-        dropped: Expected number of targets that the capacities threw away.
-    """
-
-    mean: Array
-    cov: Array
-    label: Array
-    exists: Array
-    existence_prob: Array
-    mode_prob: Array
-    log_evidence: Array
-    dropped: Array
 
 
 class Settings(NamedTuple):
@@ -170,20 +145,10 @@ def cbmember(
 
 def _init(settings: Settings, params: Params, key: Array) -> State:
     """Starts without targets."""
-    dim, mode_prob = params.target.layout.dim, params.birth.mode_prob
     driven = isinstance(params.birth, DetectionBirth)
+    mode_prob = params.birth.mode_prob if driven else params.birth.mode_prob[0]
     size = settings.max_tracks + (settings.max_births if driven else 0)
-    nobody = settings.target.begin(
-        params.target,
-        Gaussian(jnp.zeros(dim), jnp.eye(dim)),
-        mode_prob if driven else mode_prob[0],
-        key,
-    )
-    tracks = Tracks(
-        existence_prob=jnp.zeros(size),
-        belief=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape)), nobody),
-        label=jnp.full(size, -1),
-    )
+    tracks = bernoulli.nobody(settings.target, params.target, mode_prob, size, key)
     return State(tracks, jnp.asarray(0), key)
 
 
@@ -191,79 +156,34 @@ def _step(
     settings: Settings, params: Params, state: State, scan: Scan
 ) -> tuple[State, Estimate]:
     """Predicts, adds births, updates, keeps the likeliest and reports."""
+    target, threshold = settings.target, settings.report_threshold
     key, birth_key = jax.random.split(state.key)
-    next_label = state.next_label
+    label = state.next_label
 
-    tracks = _predict(settings.target, params.target, state.tracks, scan.interval)
+    tracks = bernoulli.predict(target, params.target, state.tracks, scan.interval)
     if isinstance(params.birth, MultiBernoulliBirth):
-        born = _begin(settings.target, params, params.birth, next_label, birth_key)
-        tracks, next_label = _append(tracks, born), next_label + born.label.size
+        born = bernoulli.begin(target, params.target, params.birth, label, birth_key)
+        tracks, label = bernoulli.append(tracks, born), label + born.label.size
 
-    update = _update(settings.target, params, tracks, scan)
+    update = _update(target, params, tracks, scan)
     tracks, dropped = _keep(settings, params.target, tracks, scan, update)
-    tracks, next_label = _inherit(tracks, next_label, settings.report_threshold)
-    estimate = _report(settings, tracks, update.log_evidence, dropped)
+    tracks, label = bernoulli.inherit(tracks, label, threshold)
 
-    if isinstance(params.birth, DetectionBirth):
-        births, lost = _unexplained(settings, params, scan, update.unexplained_prob)
-        born = _begin(settings.target, params, births, next_label, birth_key)
-        tracks, next_label = _append(tracks, born), next_label + born.label.size
-        estimate = estimate._replace(dropped=estimate.dropped + lost)
-    return State(tracks, next_label, key), estimate
-
-
-def _predict(target: Target, params: Any, tracks: Tracks, interval: Array) -> Tracks:
-    """Equations 31 and 32: each track survives and moves."""
-    belief, log_survive = jax.vmap(target.predict, (None, 0, None))(
-        params, tracks.belief, interval
-    )
-    survived = tracks.existence_prob * jnp.exp(log_survive)
-    return tracks._replace(existence_prob=survived, belief=belief)
-
-
-def _begin(
-    target: Target,
-    params: Params,
-    births: MultiBernoulliBirth,
-    next_label: Array,
-    key: Array,
-) -> Tracks:
-    """Equation 27: the newborn, each under a label of its own."""
-    size = births.existence_prob.size
-    belief = jax.vmap(target.begin, (None, 0, 0, 0))(
-        params.target,
-        Gaussian(births.mean, births.cov),
-        births.mode_prob,
-        jax.random.split(key, size),
-    )
-    return Tracks(births.existence_prob, belief, next_label + jnp.arange(size))
-
-
-def _unexplained(
-    settings: Settings, params: Params, scan: Scan, unexplained_prob: Array
-) -> tuple[MultiBernoulliBirth, Array]:
-    """Proposes births where a detection is unexplained, and counts what found no room."""
-    births = params.birth.propose(
-        params.target.sensor,
-        params.target.layout,
-        scan.detections,
-        scan.valid,
-        unexplained_prob,
-        scan.interval,
-    )
-    size = settings.max_births
-    if (short := size - births.existence_prob.size) > 0:
-        filler = jax.tree.map(lambda x: jnp.repeat(x[:1], short, axis=0), births)
-        filler = filler._replace(existence_prob=jnp.zeros(short))
-        births = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), births, filler)
-    _, kept = jax.lax.top_k(births.existence_prob, size)
-    likeliest = jax.tree.map(lambda x: x[kept], births)
-    lost = births.existence_prob.sum() - likeliest.existence_prob.sum()
-    return likeliest, lost
-
-
-def _append(tracks: Tracks, born: Tracks) -> Tracks:
-    return jax.tree.map(lambda old, new: jnp.concatenate([old, new]), tracks, born)
+    if not isinstance(params.birth, DetectionBirth):
+        following = tracks
+    else:
+        births, lost = bernoulli.from_unexplained(
+            params.birth,
+            params.target,
+            scan,
+            update.unexplained_prob,
+            settings.max_births,
+        )
+        born = bernoulli.begin(target, params.target, births, label, birth_key)
+        following, label = bernoulli.append(tracks, born), label + born.label.size
+        dropped = dropped + lost
+    estimate = bernoulli.report(target, tracks, threshold, update.log_evidence, dropped)
+    return State(following, label, key), estimate
 
 
 def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Update:
@@ -337,33 +257,3 @@ def _keep(
     belief, label, lost = jax.vmap(survivor)(kept)
     dropped = prob.sum() - kept_prob.sum() + (kept_prob * lost).sum()
     return Tracks(kept_prob, belief, label), dropped
-
-
-def _inherit(
-    tracks: Tracks, next_label: Array, threshold: float
-) -> tuple[Tracks, Array]:
-    """Lets the likeliest reported track of a label keep it; rivals start new ones."""
-    exists = tracks.existence_prob > threshold
-    same = (tracks.label[:, None] == tracks.label[None]) & exists[:, None] & exists[None]
-    earlier = jnp.arange(exists.size)[:, None] < jnp.arange(exists.size)[None]
-    rival = (same & earlier).any(0)  # slots are sorted, so an earlier one is likelier
-    fresh = next_label + jnp.cumsum(rival) - 1
-    label = jnp.where(rival, fresh, tracks.label)
-    return tracks._replace(label=label), next_label + rival.sum()
-
-
-def _report(
-    settings: Settings, tracks: Tracks, log_evidence: Array, dropped: Array
-) -> Estimate:
-    """Algorithm 1: tracks that exist with more than even odds, at their means."""
-    belief = jax.vmap(settings.target.moments)(tracks.belief)
-    return Estimate(
-        mean=belief.mean,
-        cov=belief.cov,
-        label=tracks.label,
-        exists=tracks.existence_prob > settings.report_threshold,
-        existence_prob=tracks.existence_prob,
-        mode_prob=jax.vmap(settings.target.modes)(tracks.belief),
-        log_evidence=log_evidence,
-        dropped=dropped,
-    )
