@@ -42,7 +42,7 @@ def to_local(
     lat, lon = np.asarray(lat, float), np.asarray(lon, float)
     origin = _median_point(lat, lon) if origin is None else origin
     phi, phi0 = np.radians(lat), np.radians(origin[0])
-    turn = np.radians(_wrapped(lon - origin[1]))
+    turn = np.radians(lon - origin[1])
 
     # The half-angle form keeps its digits for small distances, unlike the arccos.
     east = np.cos(phi) * np.sin(turn)

@@ -206,6 +206,7 @@ def _warn_of_dropped(count: np.ndarray, size: int, scan_time: np.ndarray) -> Non
         warnings.warn(
             f"{lost.sum()} of {count.sum()} detections were dropped in "
             f"{np.count_nonzero(lost)} scans, as max_detections is {size}; the fullest "
-            f"scan, at {scan_time[worst]:g} s, has {count[worst]}.",
+            f"scan, at {scan_time[worst]:g} s, has {count[worst]}; "
+            "raise max_detections to keep all.",
             stacklevel=3,
         )
