@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp
 
 from jaxtrack import kalman
+from jaxtrack.linalg import safe_log
 from jaxtrack.mixture import moment_match, total
 from jaxtrack.types import Affine, Array, Gaussian, Mixture
 
@@ -63,7 +64,7 @@ def mix(bank: Mixture, log_transition: Array) -> Mixture:
     # A column of -inf would be 0/0 below. Masking the result is too late for the
     # gradient, so such a mode is given itself as its only predecessor instead.
     enterable = jnp.any(log_joint > -jnp.inf, axis=0)
-    itself = jnp.log(jnp.eye(num_modes))
+    itself = safe_log(jnp.eye(num_modes, dtype=log_joint.dtype))
     log_joint = jnp.where(enterable[None], log_joint, itself)
 
     log_entered = jnp.where(enterable, logsumexp(log_joint, axis=0), -jnp.inf)

@@ -11,9 +11,9 @@ known beforehand,
 
 run all its scans; `jaxtrack.kalman_parallel` has the same two, parallel in time.
 
-References: Kalman, "A new approach to linear filtering and prediction problems", Journal
-of Basic Engineering 82(1), 1960; Rauch, Tung and Striebel, "Maximum likelihood estimates
-of linear dynamic systems", AIAA Journal 3(8), 1965.
+References: Kalman, "A new approach to linear filtering and prediction problems",
+Journal of Basic Engineering 82(1), 1960; Rauch, Tung and Striebel, "Maximum likelihood
+estimates of linear dynamic systems", AIAA Journal 3(8), 1965.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack import kalman
@@ -77,7 +77,9 @@ def update(
     """Conditions a belief on one detection.
 
     The covariance is in Joseph form, a sum of two positive semi-definite terms, so
-    that float32 rounding of the gain cannot make it indefinite.
+    that float32 rounding of the gain cannot make it indefinite. (A predicted covariance
+    that is singular to rounding still can, as after a first detection 1e7 times more
+    precise than where the prior's velocity leads; then compute in float64.)
 
     Args:
         belief: mean [D], cov [D, D].

@@ -37,15 +37,19 @@ def rows(entries: Sequence[Sequence[Any]]) -> Array:
         The matrix, [rows, columns].
     """
     dtype = jnp.result_type(float, *(x for row in entries for x in row))
-    if arrays := [x for row in entries for x in row if not isinstance(x, int | float)]:
-        dtype = jnp.result_type(*arrays)  # float32 values stay float32
     return jnp.stack(
         [jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in entries]
     )
 
 
+def floating(value: Any) -> Array:
+    """Returns an array of floats; float32 stays so where float64 is the default."""
+    return jnp.asarray(value, jnp.result_type(value, float))
+
+
 def safe_log(value: Array) -> Array:
     """Returns log(value), and -inf with a zero gradient where the value is not > 0."""
+    value = floating(value)
     positive = value > 0
     return jnp.where(positive, jnp.log(jnp.where(positive, value, 1.0)), -jnp.inf)
 

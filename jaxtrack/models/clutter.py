@@ -8,8 +8,8 @@ age, which are not looked at.
     >>> import jax.numpy as jnp
     >>> from jaxtrack.models.clutter import UniformClutter
     >>> clutter = UniformClutter(rate=6.0, low=jnp.zeros(2), high=jnp.array([2.0, 3.0]))
-    >>> print(clutter.log_density(jnp.array([1.0, 1.0])))
-    0.0
+    >>> print(jnp.exp(clutter.log_density(jnp.array([1.0, 1.0]))).round(2))
+    1.0
 """
 
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import linalg
 from jaxtrack.models.sensor import RangeBearing
 from jaxtrack.types import Array
 
@@ -38,7 +39,7 @@ class UniformClutter(NamedTuple):
         """Returns log(rate / volume) inside the box and -inf outside, a scalar."""
         detection = detection[: len(self.low)]
         inside = ((self.low <= detection) & (detection <= self.high)).all()
-        log_density = _log(self.rate) - jnp.log(self.high - self.low).sum()
+        log_density = linalg.safe_log(self.rate) - jnp.log(self.high - self.low).sum()
         return jnp.where(inside, log_density, -jnp.inf)
 
     def sample(self, key: Array, max_count: int) -> tuple[Array, Array]:
@@ -84,7 +85,7 @@ class PolarClutter(NamedTuple):
         place = self.position + distance * away
         inside = ((self.low <= place) & (place <= self.high)).all() & (distance > 0)
         log_area = jnp.log(self.high - self.low).sum()
-        log_density = _log(self.rate) + _log(distance) - log_area
+        log_density = linalg.safe_log(self.rate) + linalg.safe_log(distance) - log_area
         return jnp.where(inside, log_density, -jnp.inf)
 
     def sample(self, key: Array, max_count: int) -> tuple[Array, Array]:
@@ -99,21 +100,15 @@ class PolarClutter(NamedTuple):
         """
         key_count, key_place = jax.random.split(key)
         places = _scatter(key_place, self.low, self.high, max_count)
-        radar = RangeBearing(jnp.zeros(2), self.position, self.heading)
+        radar = RangeBearing(jnp.zeros_like(self.position), self.position, self.heading)
         return (
-            jax.vmap(radar.measure, (0, None))(places, jnp.zeros(2)),
+            jax.vmap(radar.measure, (0, None))(places, jnp.zeros_like(self.position)),
             jnp.arange(max_count) < jax.random.poisson(key_count, self.rate),
         )
 
 
 def _scatter(key: Array, low: Array, high: Array, max_count: int) -> Array:
     """Returns max_count points evenly spread over a box, [K, Z]."""
-    low, high = jnp.asarray(low, float), jnp.asarray(high, float)
+    low, high = linalg.floating(low), linalg.floating(high)
     share = jax.random.uniform(key, (max_count, len(low)), low.dtype)
     return low[None] + share * (high - low)[None]
-
-
-def _log(value: Array) -> Array:
-    """Returns log(value), and -inf with gradient 0 where it is not positive."""
-    positive = jnp.asarray(value) > 0
-    return jnp.where(positive, jnp.log(jnp.where(positive, value, 1.0)), -jnp.inf)

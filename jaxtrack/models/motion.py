@@ -66,7 +66,7 @@ class ConstantVelocity(NamedTuple):
 
     def noise(self, interval: Array) -> Array:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         unit = [[t**3 / 3, t**2 / 2], [t**2 / 2, t]]
         return special.scaled_blocks(unit, self.noise_density)
 
@@ -102,13 +102,13 @@ class ConstantAcceleration(NamedTuple):
 
     def transition(self, interval: Array) -> Array:
         """Returns the transition matrix, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         block = [[1.0, t, t**2 / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]]
         return special.block_diagonal([block] * len(self.noise_density))
 
     def noise(self, interval: Array) -> Array:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         unit = [
             [t**5 / 20, t**4 / 8, t**3 / 6],
             [t**4 / 8, t**3 / 3, t**2 / 2],
@@ -150,7 +150,7 @@ class Singer(NamedTuple):
 
     def transition(self, interval: Array) -> Array:
         """Returns the transition matrix, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         keep, once, twice = special.exponentials(-t / self.time_constant, 2)
         blocks = [
             [[1.0, t, t**2 * c], [0.0, 1.0, t * b], [0.0, 0.0, a]]
@@ -164,9 +164,10 @@ class Singer(NamedTuple):
         Singer's closed form, with the powers of interval / time_constant that cancel
         taken out, so that it keeps its digits for short intervals.
         """
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         x = t / self.time_constant
-        e, twin = special.exponentials(-x, 5), special.exponentials(-2 * x, 5)
+        both = special.exponentials(jnp.stack([-x, -2 * x]), 5)
+        e, twin = zip(*both, strict=True)
         power = (
             self.noise_std**2 * x
         )  # the density 2 std^2 / time_constant, times t / 2
@@ -221,7 +222,7 @@ class OrnsteinUhlenbeck(NamedTuple):
 
     def transition(self, interval: Array) -> Array:
         """Returns the transition matrix, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         x = t / self.time_constant
         fade = jnp.exp(-x)
         entries = zip(x, fade, self.time_constant, strict=True)
@@ -231,7 +232,7 @@ class OrnsteinUhlenbeck(NamedTuple):
 
     def noise(self, interval: Array) -> Array:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         y = 2 * t / self.time_constant
         small = y < 2
         near = jnp.where(small, y, 0.0)
@@ -289,7 +290,7 @@ class PiecewiseAcceleration(NamedTuple):
 
     def noise(self, interval: Array) -> Array:
         """Returns the motion's noise and that of the acceleration, [D, D]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         entries: list[list[Any]] = [[0.0] * self.dim for _ in range(self.dim)]
         index = zip(self.position_index, self.velocity_index, strict=True)
         for (p, v), std in zip(index, self.std, strict=True):

@@ -4,8 +4,8 @@ Gradients are finite everywhere; where a direction is not defined they are 0.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.models import polar
-    >>> print(polar.wrap(jnp.array([-jnp.pi, 0.25, 2 * jnp.pi + 0.25])))
-    [-3.1415927  0.25       0.25     ]
+    >>> print(polar.wrap(jnp.array([0.25, 2 * jnp.pi + 0.25, -3.5])).round(2))
+    [0.25 0.25 2.78]
 """
 
 import jax

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import linalg
 from jaxtrack.types import Array
 
 
@@ -29,7 +30,7 @@ class Constant(NamedTuple):
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns the probability, whatever the mode, state and interval."""
         del mode, state, interval
-        return jnp.asarray(self.value, float)
+        return linalg.floating(self.value)
 
 
 class PerMode(NamedTuple):
@@ -44,7 +45,7 @@ class PerMode(NamedTuple):
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns the probability of this mode, whatever the state and interval."""
         del state, interval
-        return jnp.asarray(self.value, float)[mode]
+        return linalg.floating(self.value)[mode]
 
 
 class Lifetime(NamedTuple):
@@ -59,7 +60,7 @@ class Lifetime(NamedTuple):
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns exp(-interval / mean_seconds), whatever the mode and state."""
         del mode, state
-        return jnp.exp(-jnp.asarray(interval, float) / self.mean_seconds)
+        return jnp.exp(-linalg.floating(interval) / self.mean_seconds)
 
 
 class InsideDisc(NamedTuple):

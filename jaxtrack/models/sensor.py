@@ -3,7 +3,7 @@
 `measure(position[P], velocity[P])` is the expected detection [Z], `residual(detection,
 expected)` their difference with angles wrapped to [-pi, pi), `cov()` the noise [Z, Z],
 `num_outputs` is Z. Where a detection gives a position, `locate(detection)` is the
-belief about it. Angles are in radians from the x-axis of the sensor, which is the world's
+belief about it. Angles are in radians from the sensor's x-axis, which is the world's
 turned anticlockwise by `heading`; bearings and azimuths grow anticlockwise, elevations
 upwards. Gradients are finite everywhere, also at the sensor's own position, where those
 of an angle are 0.

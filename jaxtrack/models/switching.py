@@ -21,6 +21,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import linalg
 from jaxtrack.types import Array
 
 TERMS = 16  # of the exponential series, for arguments up to 1
@@ -39,7 +40,7 @@ class MarkovSwitching(NamedTuple):
     def log_transition(self, interval: Array) -> Array:
         """Returns log p, [M, M]."""
         del interval
-        return _log(jnp.asarray(self.transition, float))
+        return linalg.safe_log(linalg.floating(self.transition))
 
 
 class SojournSwitching(NamedTuple):
@@ -62,8 +63,8 @@ class SojournSwitching(NamedTuple):
         """
         num = len(self.mean_sojourn)
         chex.assert_shape(self.jump_prob, (num, num))
-        eye = jnp.eye(num)
-        t = jnp.asarray(interval, float) / 2**SQUARINGS
+        t = linalg.floating(interval) / 2**SQUARINGS
+        eye = jnp.eye(num, dtype=t.dtype)
         leaving = self.jump_prob * (1 - eye) * (t / self.mean_sojourn)[:, None]
         total = leaving.sum(1)
         # A shift of the diagonal only scales the exponential, and rows are scaled to
@@ -80,10 +81,4 @@ class SojournSwitching(NamedTuple):
 
         prob = jax.lax.fori_loop(0, TERMS, term, eye)
         prob = prob / prob.sum(1, keepdims=True)
-        return _log(jax.lax.fori_loop(0, SQUARINGS, square, prob))
-
-
-def _log(prob: Array) -> Array:
-    """Returns the log, and -inf with gradient 0 where nothing is possible."""
-    possible = prob > 0
-    return jnp.where(possible, jnp.log(jnp.where(possible, prob, 1.0)), -jnp.inf)
+        return linalg.safe_log(jax.lax.fori_loop(0, SQUARINGS, square, prob))

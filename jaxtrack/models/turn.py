@@ -46,7 +46,7 @@ class CoordinatedTurn(NamedTuple):
 
     def transition(self, interval: Array) -> Array:
         """Returns the transition matrix, [4, 4]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         angle = self.turn_rate * t
         cos, sinc, versine, _ = special.circular(angle)
         sin, along, across = angle * sinc, t * sinc, t * angle * versine
@@ -65,7 +65,7 @@ class CoordinatedTurn(NamedTuple):
         Not that of `ConstantVelocity`: the push received early has turned since, which
         ties the position on one axis to the velocity on the other.
         """
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         angle = self.turn_rate * t
         _, _, versine, rest = special.circular(angle)
         pp = self.noise_density * t**3 * 2 * rest
@@ -109,7 +109,7 @@ class TurnRate(NamedTuple):
 
     def noise(self, interval: Array) -> Array:
         """Returns the covariance of the noise over `interval` seconds, [5, 5]."""
-        t = jnp.asarray(interval, float)
+        t = linalg.floating(interval)
         q = self.noise_density
         pp, pv, vv = q * t**3 / 3, q * t**2 / 2, q * t
         return linalg.rows(

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import linalg
 from jaxtrack.types import Array, PyTree, Scan, Tracker
 
 
@@ -114,7 +115,7 @@ def observe(
         target_key, seen_key, clutter_key = jax.random.split(key, 3)
         noise_keys = jax.random.split(target_key, exists.size)
         hits = jax.vmap(lambda k, x: _detect(k, x, motion, sensor))(noise_keys, state)
-        prob = jax.vmap(lambda x: detect.prob(0, x, jnp.zeros(())))(state)
+        prob = jax.vmap(lambda x: detect.prob(0, x, 0.0))(state)
         seen = exists & (jax.random.uniform(seen_key, exists.shape) < prob)
         false, false_valid = clutter.sample(clutter_key, max_detections)
         detections = jnp.concatenate([hits, false])
@@ -132,9 +133,10 @@ def _detect(key: Array, state: Array, motion: Any, sensor: Any) -> Array:
     position = jnp.stack([state[i] for i in motion.position_index])
     velocity = jnp.stack([state[i] for i in motion.velocity_index])
     expected = sensor.measure(position, velocity)
-    noise = jnp.linalg.cholesky(sensor.cov()) @ jax.random.normal(key, expected.shape)
+    white = jax.random.normal(key, expected.shape, expected.dtype)
+    noise = linalg.cholesky(sensor.cov()) @ white
     # The residual against zero wraps the angles of the noisy detection.
-    return sensor.residual(expected + noise.astype(expected.dtype), 0 * expected)
+    return sensor.residual(expected + noise, 0 * expected)
 
 
 def slots_for(num_targets: int, clutter_rate: float) -> int:
