@@ -4,7 +4,7 @@
     mixture = merge(mixture, threshold)          # join components that are close
     mixture, lost = cap(mixture, max_components) # keep the heaviest
 
-`reduce` is the three in a row. Sizes stay fixed: an empty slot has log-weight -inf.
+`reduce` does all at once. Sizes stay fixed: an empty slot has log-weight -inf.
 
 Reference: Vo and Ma, "The Gaussian mixture probability hypothesis density filter", IEEE
 Trans. Signal Processing 54(11), 2006, Table II; with the spread of the means kept.
@@ -128,49 +128,60 @@ def merge(mixture: Mixture, threshold: float | Array) -> Mixture:
         threshold: Squared Mahalanobis distance; 0 joins equals only, inf joins all.
 
     Returns:
-        The mixture, same shapes; each cluster stands in its leader's slot and the
-        slots of the others are empty.
-    """
-    leader = jax.lax.stop_gradient(leaders(mixture, threshold))
-    member = leader[None] == jnp.arange(leader.size)[:, None]  # [cluster, member]
-    return merge_clusters(mixture, member)
-
-
-def leaders(mixture: Mixture, threshold: float | Array) -> Array:
-    """Returns the slot of the component that each one is merged into, [N] (int).
-
-    Empty slots get -1. The loop runs once per cluster, and only over booleans: no
-    gradient passes through the choice.
+        One component per cluster, in the order of their leaders; the other of the N
+        slots are empty.
     """
     num = mixture.log_weight.size
-    mixture = jax.tree.map(jax.lax.stop_gradient, mixture)
-    lower = jax.vmap(linalg.cholesky)(mixture.cov)
+    return merge_clusters(mixture, clusters(mixture, threshold, num), num)
 
-    def grow(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        leader, free = carry
-        first = jnp.argmax(jnp.where(free, mixture.log_weight, -jnp.inf))
-        gap = mixture.mean - mixture.mean[first][None]
+
+def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> Array:
+    """Returns the cluster of each component, see `merge`.
+
+    The loop runs once per cluster and only makes choices: no gradient passes through.
+
+    Args:
+        mixture: log_weight [N], mean [N, D], cov [N, D, D].
+        threshold: Squared Mahalanobis distance.
+        max_clusters: Clusters made; components that fit in none of them get -1.
+
+    Returns:
+        Numbers from 0, in the order of the leaders, [N] (int); -1 also marks an empty
+        slot.
+    """
+    num = mixture.log_weight.size
+    log_weight, mean, cov = jax.tree.map(jax.lax.stop_gradient, mixture)
+    lower = jax.vmap(linalg.cholesky)(cov)
+    slots = jnp.arange(num)
+
+    def grow(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, cluster, free = carry
+        leader = jnp.argmax(jnp.where(free, log_weight, -jnp.inf))
+        gap = mean - mean[leader][None]
         white = jax.vmap(linalg.solve_lower)(lower, gap)
         near = (white * white).sum(1) <= threshold
-        joins = free & (near | (jnp.arange(num) == first))
-        return jnp.where(joins, first, leader), free & ~joins
+        joins = free & (near | (slots == leader))
+        return count + 1, jnp.where(joins, count, cluster), free & ~joins
 
-    free = mixture.log_weight > -jnp.inf
-    start = jnp.full(num, -1), free
-    return jax.lax.while_loop(lambda carry: carry[1].any(), grow, start)[0]
+    start = jnp.asarray(0), jnp.full(num, -1), log_weight > -jnp.inf
+    return jax.lax.while_loop(
+        lambda carry: (carry[0] < max_clusters) & carry[2].any(), grow, start
+    )[1]
 
 
-def merge_clusters(mixture: Mixture, member: Array) -> Mixture:
+def merge_clusters(mixture: Mixture, cluster: Array, num_clusters: int) -> Mixture:
     """Moment-matches each cluster of components.
 
     Args:
         mixture: log_weight [N], mean [N, D], cov [N, D, D].
-        member: member[l, n]: component n belongs to cluster l, [L, N] (bool).
+        cluster: Number of the cluster that a component belongs to, or -1, [N] (int).
+        num_clusters: L.
 
     Returns:
         One component per cluster, [L]; a cluster without members has log-weight -inf
         and the moments of component 0.
     """
+    member = cluster[None] == jnp.arange(num_clusters)[:, None]  # [cluster, member]
     log_weight = jnp.where(member, mixture.log_weight[None], -jnp.inf)
     merged = jax.vmap(moment_match, (0, None, None))(
         jax.vmap(normalise)(log_weight), mixture.mean, mixture.cov
@@ -184,36 +195,28 @@ def reduce(
     prune_threshold: float | Array = 1e-5,
     merge_threshold: float | Array = 4.0,
 ) -> tuple[Mixture, Array]:
-    """Prunes, merges and caps: the mixture in fewer components, same total weight.
+    """Prunes, and merges into at most so many components; keeps the total weight.
 
-    Equal to `cap(merge(prune(mixture)))`, but moment-matches only the clusters that
-    survive the cap.
+    As `prune` and then `merge`, but no more than `max_components` clusters are made:
+    those with the heaviest leaders.
 
     Args:
         mixture: log_weight [N], mean [N, D], cov [N, D, D].
-        max_components: Number of slots of the result, L.
+        max_components: Number of slots of the result, L; may exceed N.
         prune_threshold: See `prune`.
         merge_threshold: See `merge`.
 
     Returns:
-        The mixture with L slots, heaviest first, and the share of the weight that the
-        cap threw away (pruning by the threshold is not counted).
+        The mixture with L slots, in the order of the leaders, and the share of the
+        weight that found no cluster (pruning by the threshold is not counted).
     """
     mixture = prune(mixture, prune_threshold)
-    leader = leaders(mixture, merge_threshold)
-    slots = jnp.arange(leader.size)
-    weight = normalise(mixture.log_weight)
-    heaviness = jnp.where(leader[None] == slots[:, None], weight[None], 0.0).sum(1)
-    count = min(max_components, leader.size)
-    _, best = jax.lax.top_k(jax.lax.stop_gradient(heaviness), count)
-    merged = merge_clusters(mixture, leader[None] == best[:, None])
-    if count < max_components:
-        merged = _pad(merged, max_components - count)
-
-    before = total(mixture.log_weight)
-    lost = jnp.maximum(1 - heaviness[best].sum(), 0.0)
-    lost = jnp.where(before > -jnp.inf, lost, 0.0)
-    return merged._replace(log_weight=_rescale(merged.log_weight, before)), lost
+    cluster = clusters(mixture, merge_threshold, max_components)
+    merged = merge_clusters(mixture, cluster, max_components)
+    before, after = total(mixture.log_weight), total(merged.log_weight)
+    lost = jnp.where(before > -jnp.inf, -jnp.expm1(_difference(after, before)), 0.0)
+    kept = merged._replace(log_weight=_rescale(merged.log_weight, before))
+    return kept, jnp.maximum(lost, 0.0)
 
 
 def _pad(mixture: Mixture, extra: int) -> Mixture:

@@ -40,7 +40,7 @@ from jaxtrack import mixture as gaussians
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.sensor import untimed
 from jaxtrack.targets.imm import Params
-from jaxtrack.types import Array, Gaussian, Mixture, Target
+from jaxtrack.types import Affine, Array, Gaussian, Mixture, Target
 
 __all__ = ["Belief", "Params", "mixture"]
 
@@ -156,21 +156,16 @@ def _predict(
         *(x.reshape(-1, *x.shape[2:]) for x in (belief.mean, belief.cov)),
     )
 
-    moved = []
-    for n, motion in enumerate(params.motions):
-        start = Gaussian(mixed.mean[n], mixed.cov[n])
-        moved.append(
-            jax.vmap(functools.partial(_move, motion, interval, method))(start)
-        )
-    mean, cov = jax.tree.map(lambda *leaves: jnp.stack(leaves), *moved)
-    return mixed._replace(mean=mean, cov=cov), log_survive
+    def linearised(motion: Any, component: Gaussian) -> Affine:
+        return linearize.motion_affine(motion, component, interval, method)
 
-
-def _move(
-    motion: Any, interval: Array, method: linearize.Method, belief: Gaussian
-) -> Gaussian:
-    affine = linearize.motion_affine(motion, belief, interval, method)
-    return kalman.predict(belief, affine)
+    motions = [
+        jax.vmap(functools.partial(linearised, motion))(Gaussian(mean, cov))
+        for motion, mean, cov in zip(params.motions, mixed.mean, mixed.cov, strict=True)
+    ]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
+    moved = jax.vmap(jax.vmap(kalman.predict))(_gaussians(mixed), stacked)
+    return mixed._replace(mean=moved.mean, cov=moved.cov), log_survive
 
 
 def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
