@@ -2,7 +2,8 @@
 
 Matrices with up to `UNROLL` rows are written out, with real divisions, so that XLA
 fuses them over any batch that `vmap` adds; larger ones go to `jax.numpy`. What should
-be symmetric is symmetric to the last bit, and so are its gradients.
+be symmetric is averaged with its transpose: an antisymmetric part cannot build up, in
+values (to the last bits) or in gradients.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack import linalg
