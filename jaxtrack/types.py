@@ -62,7 +62,7 @@ class Scan(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: nine pure functions.
+    """The belief about one target, as a tracker sees it: ten functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -78,6 +78,9 @@ class Target(NamedTuple):
         collapse: (log_weight[N], beliefs[N, ...]) -> belief. One for a weighted many;
             the weights need not be normalised, -inf marks an empty slot, and if all
             are empty the first belief comes back.
+        absorb: (params, log_weight[N], beliefs[N, ...], detection[Z]) -> belief. One
+            for a weighted many that claim the detection: each corrected, then all
+            collapsed, but only what survives the collapse need be corrected.
         moments: (belief) -> Gaussian. Mean and covariance over all modes.
         modes: (belief) -> mode_prob[M]. One if there is a single mode.
         lost: (belief) -> scalar. Share of the belief's mass that its capacities threw
@@ -90,6 +93,7 @@ class Target(NamedTuple):
     score: Callable[..., Array]
     correct: Callable[..., PyTree]
     collapse: Callable[..., PyTree]
+    absorb: Callable[..., PyTree]
     moments: Callable[[PyTree], Gaussian]
     modes: Callable[[PyTree], Array]
     lost: Callable[[PyTree], Array]

@@ -5,7 +5,8 @@ The modes may be any motions over the same state; they share one sensor.
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack import models
     >>> from jaxtrack.targets import imm
-    >>> from jaxtrack.types import Gaussian
+    >>> from jaxtrack.targets import verbs
+from jaxtrack.types import Gaussian
     >>> smooth, rough = (
     ...     models.motion.ConstantVelocity(q * jnp.ones(1)) for q in (0.1, 9.0))
     >>> params = imm.Params(
@@ -36,6 +37,7 @@ from jaxtrack import imm as bank_of_modes
 from jaxtrack import kalman, linearize, mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.sensor import untimed
+from jaxtrack.targets import verbs
 from jaxtrack.types import Affine, Array, Gaussian, Mixture, Target
 
 
@@ -70,13 +72,15 @@ def imm(method: linearize.Method = linearize.taylor) -> Target:
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
     """
+    correct = functools.partial(_correct, method)
     return Target(
         begin=_begin,
         predict=functools.partial(_predict, method),
         miss=_miss,
         score=functools.partial(_score, method),
-        correct=functools.partial(_correct, method),
+        correct=correct,
         collapse=_collapse,
+        absorb=verbs.absorb(correct, _collapse),
         moments=mixture.collapse,
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),

@@ -8,7 +8,8 @@ detection that depend on the state are taken at the mean.
     >>> import jax.numpy as jnp
     >>> from jaxtrack import models
     >>> from jaxtrack.targets import single
-    >>> from jaxtrack.types import Gaussian
+    >>> from jaxtrack.targets import verbs
+from jaxtrack.types import Gaussian
     >>> params = single.Params(
     ...     motion=models.motion.ConstantVelocity(noise_density=jnp.ones(1)),
     ...     sensor=models.sensor.Position(noise_std=jnp.ones(1)),
@@ -31,6 +32,7 @@ import jax.numpy as jnp
 from jaxtrack import kalman, linearize, mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.sensor import untimed
+from jaxtrack.targets import verbs
 from jaxtrack.types import Array, Gaussian, Mixture, Target
 
 
@@ -63,13 +65,15 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
     """
+    correct = functools.partial(_correct, method)
     return Target(
         begin=_begin,
         predict=functools.partial(_predict, method),
         miss=_miss,
         score=functools.partial(_score, method),
-        correct=functools.partial(_correct, method),
+        correct=correct,
         collapse=_collapse,
+        absorb=verbs.absorb(correct, _collapse),
         moments=lambda belief: belief,
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),

@@ -239,10 +239,7 @@ def _keep(
             update.log_weight[:, detection], min(settings.max_parents, num)
         )
         before = jax.tree.map(lambda x: x[parents], tracks.belief)
-        corrected = jax.vmap(target.correct, (None, 0, None))(
-            params, before, scan.detections[detection]
-        )
-        hit = target.collapse(log_weight, corrected)
+        hit = target.absorb(params, log_weight, before, scan.detections[detection])
         everyone = mixture.total(update.log_weight[:, detection])
         known = everyone > -jnp.inf
         lost = 1 - jnp.exp(mixture.total(log_weight) - jnp.where(known, everyone, 0.0))

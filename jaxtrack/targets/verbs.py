@@ -1,0 +1,31 @@
+"""Verbs of a target that follow from others.
+
+>>> import jax.numpy as jnp
+>>> from jaxtrack.targets import verbs
+>>> absorb = verbs.absorb(
+...     correct=lambda params, belief, detection: (belief + detection) / 2,
+...     collapse=lambda log_weight, beliefs: jnp.exp(log_weight) @ beliefs)
+>>> print(absorb(None, jnp.log(jnp.array([0.5, 0.5])), jnp.array([0.0, 4.0]), 6.0))
+4.0
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from jaxtrack.types import Array, PyTree
+
+
+def absorb(
+    correct: Callable[..., PyTree], collapse: Callable[..., PyTree]
+) -> Callable[..., PyTree]:
+    """Makes the verb `absorb` of a target from its `correct` and `collapse`."""
+
+    def absorb(
+        params: Any, log_weight: Array, beliefs: PyTree, detection: Array
+    ) -> PyTree:
+        corrected = jax.vmap(correct, (None, 0, None))(params, beliefs, detection)
+        return collapse(log_weight, corrected)
+
+    return absorb
