@@ -1,29 +1,34 @@
 """Running a tracker over time, and over many simulated runs.
 
-    estimates = run(tracker, params, scans, key)          # T scans
-    dataset = monte_carlo(scenario, ["gm-mm-cbmember"])   # R runs, scored
+estimates = run(tracker, params, scans, key)          # T scans
+dataset = monte_carlo(scenario, ["gm-mm-cbmember"])   # R runs, scored
 
-    >>> import jax
-    >>> from jaxtrack import engine
-    >>> from jaxtrack.scenarios import yuan2013_linear
-    >>> scenario = yuan2013_linear.make()
-    >>> truth, scans = scenario.simulate(jax.random.key(0))
-    >>> tracker, params = scenario.trackers["imm-mm-cbmember"]
-    >>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
-    >>> estimates.mean.shape
-    (50, 16, 4)
+>>> import jax
+>>> from jaxtrack import engine
+>>> from jaxtrack.scenarios import yuan2013_linear
+>>> scenario = yuan2013_linear.make()
+>>> truth, scans = scenario.simulate(jax.random.key(0))
+>>> tracker, params = scenario.trackers["imm-mm-cbmember"]
+>>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
+>>> estimates.mean.shape
+(50, 16, 4)
 """
 
 import functools
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack.metrics.gospa import gospa
 from jaxtrack.metrics.ospa import ospa
-from jaxtrack.scenarios.world import Scenario, Truth, World, observe
+from jaxtrack.scenarios.world import Maker, Truth, World, observe
+from jaxtrack.study import devices, parts, sweep, table
 from jaxtrack.types import Array, PyTree, Scan, Tracker
+
+if TYPE_CHECKING:
+    import xarray
 
 
 class Scores(NamedTuple):
@@ -57,8 +62,7 @@ class Scores(NamedTuple):
 def run(tracker: Tracker, params: PyTree, scans: Scan, key: Array) -> PyTree:
     """Runs a tracker over T scans; every estimate comes back with a leading T.
 
-    For R runs at once: `jax.vmap(run, (None, None, 0, 0))(tracker, params, scans, keys)`
-    with the tracker bound by `functools.partial`.
+    For R runs at once, `jax.vmap(functools.partial(run, tracker), (None, 0, 0))`.
 
     Args:
         tracker: A tracker; static under `jit`.
@@ -138,6 +142,31 @@ def score(
     )
 
 
+def watch_chunk(
+    tracker: Tracker,
+    max_detections: int,
+    params: PyTree,
+    world: World,
+    cutoff: Array,
+    order: Array,
+    keys: Array,
+) -> tuple[Scores, dict[str, Array]]:
+    """Simulates, tracks and scores one run per key [R].
+
+    Returns:
+        Scores, each [R, T]; and by name what the first run saw and told, the fields of
+        its scans and of its estimates, each [1, T, ...].
+    """
+
+    def one(key: Array) -> tuple[Scores, dict[str, Array]]:
+        scans, estimates = simulate_and_run(tracker, params, world, max_detections, key)
+        scores = score(world.truth, world.motion, estimates, cutoff, order)
+        return scores, {**scans._asdict(), **estimates._asdict()}
+
+    scores, seen = jax.vmap(one)(keys)
+    return scores, jax.tree.map(lambda x: x[:1], seen)
+
+
 @functools.partial(jax.jit, static_argnames=("tracker", "max_detections"))
 def score_chunk(
     tracker: Tracker,
@@ -149,9 +178,79 @@ def score_chunk(
     keys: Array,
 ) -> Scores:
     """Simulates, tracks and scores one run per key [R]; each score is [R, T]."""
+    return watch_chunk(tracker, max_detections, params, world, cutoff, order, keys)[0]
 
-    def one(key: Array) -> Scores:
-        _, estimates = simulate_and_run(tracker, params, world, max_detections, key)
-        return score(world.truth, world.motion, estimates, cutoff, order)
 
-    return jax.vmap(one)(keys)
+def monte_carlo(
+    scenario: str | Maker,
+    trackers: Sequence[str],
+    runs: int = 100,
+    seed: int = 0,
+    settings: Mapping[str, Sequence[float]] | None = None,
+    chunk: int | None = None,
+    directory: parts.Directory | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> "xarray.Dataset":
+    """Runs trackers over many simulated runs, at every point of a sweep.
+
+    Run r has the same data whatever the trackers, the chunk and the machine. A sweep of
+    values compiles once per tracker: all points share the largest scan capacity.
+
+    Args:
+        scenario: Its name, or a function that makes it.
+        trackers: Names of trackers of the scenario.
+        runs: R.
+        seed: From 0 up to 2^32.
+        settings: Values to sweep over, by the names of the scenario's settings; of
+            several settings every combination is run.
+        chunk: Runs in a compiled call; by default 10, 25 or 50.
+        directory: Where parts are kept; a study that is run again loads those it finds.
+        progress: Called with the number of runs done and to be done, all told.
+
+    Returns:
+        The fields of `Scores` over setting, tracker, run and time; seconds and
+        compile_seconds over setting and tracker.
+
+    Raises:
+        ValueError: A name or a value that makes no sense, or a directory that holds
+            parts of another study.
+    """
+    plan = sweep.plan(scenario, trackers, runs, seed, settings, chunk)
+    report = progress or (lambda done, total: None)
+    total = len(plan.jobs) * runs
+    report(0, total)
+    done: list[list[parts.Part]] = []
+    for job in plan.jobs:
+        before = len(done) * runs
+        done.append([])
+        for some in plan.chunks:
+            done[-1].append(_part(plan, job, some, directory))
+            report(before + min(some.stop, runs), total)
+    return table.dataset(plan, done)
+
+
+def _part(
+    plan: sweep.Plan, job: sweep.Job, runs: range, directory: parts.Directory | None
+) -> parts.Part:
+    """Loads a part, or computes and keeps it."""
+    if directory is None:
+        return _compute(plan, job, runs)
+    path = parts.path_of(directory, job, runs.start)
+    identity = {**plan.attributes, "settings": job.point, "tracker": job.name}
+    identity["fingerprint of code and values"] = parts.fingerprint(job.values)
+    part = parts.read(path, identity)
+    if part is None:
+        part = _compute(plan, job, runs)
+        parts.write(path, identity, part)
+    return part
+
+
+def _compute(plan: sweep.Plan, job: sweep.Job, runs: range) -> parts.Part:
+    """Runs a chunk."""
+    keys = run_keys(plan.attributes["seed"], runs.start, len(runs))
+    static = job.tracker, plan.max_detections
+    called = devices.call(watch_chunk, static, job.values, keys)
+    scores, seen = called.result
+    there = seen if runs.start == 0 else {}
+    example = {name: x[0] for name, x in there.items() if x is not None}
+    return parts.Part(scores._asdict(), called.seconds, called.compile_seconds, example)

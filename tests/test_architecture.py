@@ -21,7 +21,7 @@ FLOORS = (
     {"gate", "imm"},
     {"targets"},
     {"trackers"},
-    {"engine", "metrics", "scenarios", "learn", "data", "plot"},
+    {"engine", "study", "recorded", "metrics", "scenarios", "learn", "data", "plot"},
     {"cli"},
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
