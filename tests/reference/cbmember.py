@@ -1,0 +1,99 @@
+"""The GM-MM-CBMeMBer filter as loops: Yuan 2013, eq. 30 to 36, and Algorithm 1.
+
+A track is (r, belief, label), with the beliefs of `reference.mixture`. The denominators
+are those of Vo, Vo and Cantoni 2009. Labels, parents and capacities follow the rules
+that `jaxtrack.trackers.cbmember` documents.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from reference import mixture
+
+
+class Settings(NamedTuple):
+    max_tracks: int
+    max_parents: int
+    prune_threshold: float
+    report_threshold: float
+
+
+class Scene(NamedTuple):
+    """births: list of (r, m, P, mode_prob); clutter: intensity; rate: its integral."""
+
+    births: list
+    clutter: float
+    rate: float
+
+
+def step(model, scene, settings, tracks, detections, next_label):
+    """Returns the tracks, the next free label, log-evidence and what was dropped."""
+    tracks, next_label = predict(model, scene, tracks, next_label)
+    legacy, log_evidence = miss(model, tracks)
+    updated = []
+    for z in detections:
+        track, log_density = update(model, scene, settings, tracks, z)
+        updated.append(track)
+        log_evidence += log_density
+    tracks, dropped = keep(settings, legacy + updated)
+    tracks, next_label = inherit(settings, tracks, next_label)
+    return tracks, next_label, log_evidence - scene.rate, dropped
+
+
+def predict(model, scene, tracks, next_label):
+    predicted = []
+    for r, belief, label in tracks:
+        belief, survived = mixture.predict(model, belief)
+        predicted.append((r * survived, belief, label))
+    for r, m, P, mode_prob in scene.births:
+        predicted.append((r, mixture.begin(model, m, P, mode_prob), next_label))
+        next_label += 1
+    return predicted, next_label
+
+
+def miss(model, tracks):
+    """The legacy tracks of eq. 34, and the log-probability that none was detected."""
+    legacy, log_none = [], 0.0
+    for r, belief, label in tracks:
+        missed, prob = mixture.miss(model, belief)
+        detected = 1 - prob
+        log_none += np.log(1 - r * detected)
+        legacy.append((r * (1 - detected) / (1 - r * detected), missed, label))
+    return legacy, log_none
+
+
+def update(model, scene, settings, tracks, z):
+    """The updated track of eq. 34, and the log of the detection's intensity."""
+    numerator, denominator, hits = 0.0, scene.clutter, []
+    for r, belief, label in tracks:
+        detected = 1 - mixture.miss(model, belief)[1]
+        corrected, density = mixture.correct(model, belief, z)
+        numerator += (1 - r) * r * density / (1 - r * detected) ** 2
+        denominator += r * density / (1 - r * detected)
+        hits.append((r / (1 - r) * density, corrected, label))
+    hits.sort(key=lambda hit: -hit[0])
+    parents = hits[: settings.max_parents]
+    weights = [w for w, _, _ in parents]
+    belief = mixture.collapse(model, weights, [b for _, b, _ in parents])
+    share = 1 - sum(weights) / sum(w for w, _, _ in hits)
+    belief = belief[0], share + (1 - share) * belief[1]
+    return (numerator / denominator, belief, parents[0][2]), np.log(denominator)
+
+
+def keep(settings, tracks):
+    likely = [t for t in tracks if t[0] >= settings.prune_threshold]
+    likely.sort(key=lambda track: -track[0])
+    kept, gone = likely[: settings.max_tracks], likely[settings.max_tracks :]
+    dropped = sum(r for r, _, _ in gone) + sum(r * belief[1] for r, belief, _ in kept)
+    return kept, dropped
+
+
+def inherit(settings, tracks, next_label):
+    heirs, labelled = set(), []
+    for r, belief, label in tracks:
+        if r > settings.report_threshold:
+            if label in heirs:
+                label, next_label = next_label, next_label + 1
+            heirs.add(label)
+        labelled.append((r, belief, label))
+    return labelled, next_label
