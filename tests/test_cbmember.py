@@ -137,7 +137,7 @@ def test_moments_and_modes_follow_the_paper():
 def test_labels_follow_the_rule():
     estimates, steps = both_runs()
     for t, (tracks, _, _) in enumerate(steps):
-        labels = [label for _, _, label in tracks]
+        labels = [shown for _, _, (_, _, shown) in tracks]
         np.testing.assert_array_equal(estimates.label[t, : len(labels)], labels)
         reported = [r > 0.5 for r, _, _ in tracks]
         np.testing.assert_array_equal(estimates.exists[t, : len(labels)], reported)

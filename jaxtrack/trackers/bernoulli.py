@@ -1,15 +1,16 @@
 """Tracks that may or may not exist: what the multi-Bernoulli trackers share.
 
 N independent tracks, each with a probability that it exists, a belief about its target
-and a label. Births append tracks, `inherit` keeps labels apart, `report` is the
-estimate. The target algebra is any of `jaxtrack.targets`.
+and a label. Births append tracks, `tell_apart` keeps reported labels apart, `report` is
+the estimate. The target algebra is any of `jaxtrack.targets`.
 
     >>> import jax.numpy as jnp
-    >>> from jaxtrack.trackers.bernoulli import Tracks, inherit
-    >>> twins = Tracks(jnp.array([0.9, 0.8, 0.1]), None, jnp.array([7, 7, 7]))
-    >>> tracks, next_label = inherit(twins, jnp.array(12), threshold=0.5)
-    >>> print(tracks.label, next_label)
-    [ 7 12  7] 13
+    >>> from jaxtrack.trackers.bernoulli import Tracks, tell_apart
+    >>> label, alias = jnp.full(3, 7), jnp.full(3, -1)
+    >>> twins = Tracks(jnp.array([0.9, 0.8, 0.1]), None, label, alias)
+    >>> tracks, shown, next_label = tell_apart(twins, jnp.array(12), threshold=0.5)
+    >>> print(shown, tracks.label, tracks.alias, next_label)
+    [ 7 12  7] [7 7 7] [-1 12 -1] 13
 
 Reference for births from detections: Reuter, Vo, Vo and Dietmayer, "The labeled multi-
 Bernoulli filter", IEEE Trans. Signal Processing 62(12), 2014.
@@ -25,11 +26,20 @@ from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target
 
 
 class Tracks(NamedTuple):
-    """N slots: existence_prob [N] (0 = empty), belief [N, ...], label [N]."""
+    """N slots.
+
+    Attributes:
+        existence_prob: 0 marks an empty slot, [N].
+        belief: [N, ...].
+        label: Which target it is, by ancestry, [N] (int).
+        alias: What it was last reported as while a likelier track had its label, or -1,
+            [N] (int).
+    """
 
     existence_prob: Array
     belief: PyTree
     label: Array
+    alias: Array
 
 
 class Estimate(NamedTuple):
@@ -73,7 +83,8 @@ def nobody(
     return Tracks(
         existence_prob=jnp.zeros(size, dtype),
         belief=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape)), belief),
-        label=jnp.full(size, -1),
+        label=jnp.full(size, -1, int),
+        alias=jnp.full(size, -1, int),
     )
 
 
@@ -122,7 +133,8 @@ def begin(
         births.mode_prob,
         jax.random.split(key, size),
     )
-    return Tracks(births.existence_prob, belief, next_label + jnp.arange(size))
+    label = next_label + jnp.arange(size)
+    return Tracks(births.existence_prob, belief, label, jnp.full_like(label, -1))
 
 
 def append(tracks: Tracks, born: Tracks) -> Tracks:
@@ -167,13 +179,15 @@ def from_unexplained(
     return places._replace(existence_prob=likely), prob.sum() - likely.sum()
 
 
-def inherit(
+def tell_apart(
     tracks: Tracks, next_label: Array, threshold: float
-) -> tuple[Tracks, Array]:
-    """Keeps the labels of reported tracks apart.
+) -> tuple[Tracks, Array, Array]:
+    """Finds the labels under which to report, no two of them alike.
 
     Of the tracks that exist with more than the threshold under one label, the likeliest
-    is the heir; each other starts a new label, for good.
+    is the heir and is reported under it. A rival is reported under an alias, which it
+    keeps and hands on, but its label stays that of its ancestors: most rivals are a
+    second track of the same target, and one of the two soon goes.
 
     Args:
         tracks: N tracks, likeliest first.
@@ -181,21 +195,30 @@ def inherit(
         threshold: Existence probability above which a track is reported.
 
     Returns:
-        The tracks, and the next free label.
+        The tracks with the aliases of the rivals, the labels to report [N], and the
+        next free label.
     """
     exists = tracks.existence_prob > threshold
-    same = (
-        (tracks.label[:, None] == tracks.label[None]) & exists[:, None] & exists[None]
-    )
-    slot = jnp.arange(exists.size)
-    rival = (same & (slot[:, None] < slot[None])).any(0)
-    label = jnp.where(rival, next_label + jnp.cumsum(rival) - 1, tracks.label)
-    return tracks._replace(label=label), next_label + rival.sum()
+    rival = _repeats(tracks.label, exists)
+    known = rival & (tracks.alias >= 0)
+    named = known & ~_repeats(tracks.alias, known)
+    fresh = next_label + jnp.cumsum(rival & ~named) - 1
+    alias = jnp.where(rival & ~named, fresh, tracks.alias)
+    shown = jnp.where(rival, alias, tracks.label)
+    return tracks._replace(alias=alias), shown, next_label + (rival & ~named).sum()
+
+
+def _repeats(name: Array, among: Array) -> Array:
+    """Tells which of some slots repeat the name of an earlier one, [N] (bool)."""
+    slot = jnp.arange(name.size)
+    same = (name[:, None] == name[None]) & among[:, None] & among[None]
+    return (same & (slot[:, None] < slot[None])).any(0)
 
 
 def report(
     target: Target,
     tracks: Tracks,
+    shown: Array,
     threshold: float,
     log_evidence: Array,
     dropped: Array,
@@ -205,6 +228,7 @@ def report(
     Args:
         target: How one target is filtered.
         tracks: N tracks.
+        shown: Labels to report, [N]; see `tell_apart`.
         threshold: Existence probability above which a track is reported.
         log_evidence: Log-density of the scan.
         dropped: Expected number of targets that the capacities threw away.
@@ -216,7 +240,7 @@ def report(
     return Estimate(
         mean=belief.mean,
         cov=belief.cov,
-        label=tracks.label,
+        label=shown,
         exists=tracks.existence_prob > threshold,
         existence_prob=tracks.existence_prob,
         mode_prob=jax.vmap(target.modes)(tracks.belief),

@@ -14,15 +14,19 @@ one mode the GM-CBMeMBer filter; with a nonlinear model and `linearize.taylor` o
 
 Labels (left open by the paper) follow ancestry: a legacy track keeps its label, an
 updated track takes that of the track that explains its detection best, a newborn gets a
-new one. Where two reported tracks would share a label, the likelier is the heir and the
-other starts a new label, for good.
+new one. Where two reported tracks share a label, the likelier is the heir and the other
+is reported under an alias (`bernoulli.tell_apart`).
 
 The log-evidence of a scan is that of a product form, in which several detections may
 stem from one track: exact for a single detection or where no two detections compete for
 a track. It is the normaliser that the filter's own update uses.
 
-The approximation wants a probability of detection near one: a track that exists almost
-surely passes only (1 - r) / (1 - r p_D) of its existence on to its detection.
+How far off it is: with one detection the expected number of targets and the evidence are
+exact, for any number of tracks; but a track that exists almost surely passes only
+(1 - r) / (1 - r p_D) of its existence on to its detection, so p_D should be near one. Two
+targets so close that they compete for two detections are overcounted by 0.11 on average,
+one target with three detections in reach by 0.56 (p_D 0.9 to 0.99, heavy clutter, 300
+random scenes of `tests/test_cbmember.py` against brute force).
 
     >>> from jaxtrack import targets, trackers
     >>> tracker = trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
@@ -149,7 +153,7 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     mode_prob = params.birth.mode_prob if driven else params.birth.mode_prob[0]
     size = settings.max_tracks + (settings.max_births if driven else 0)
     tracks = bernoulli.nobody(settings.target, params.target, mode_prob, size, key)
-    return State(tracks, jnp.asarray(0), key)
+    return State(tracks, jnp.zeros((), int), key)
 
 
 def _step(
@@ -167,7 +171,7 @@ def _step(
 
     update = _update(target, params, tracks, scan)
     tracks, dropped = _keep(settings, params.target, tracks, scan, update)
-    tracks, label = bernoulli.inherit(tracks, label, threshold)
+    tracks, shown, label = bernoulli.tell_apart(tracks, label, threshold)
 
     if not isinstance(params.birth, DetectionBirth):
         following = tracks
@@ -182,7 +186,9 @@ def _step(
         born = bernoulli.begin(target, params.target, births, label, birth_key)
         following, label = bernoulli.append(tracks, born), label + born.label.size
         dropped = dropped + lost
-    estimate = bernoulli.report(target, tracks, threshold, update.log_evidence, dropped)
+    estimate = bernoulli.report(
+        target, tracks, shown, threshold, update.log_evidence, dropped
+    )
     return State(following, label, key), estimate
 
 
@@ -248,9 +254,11 @@ def _keep(
         legacy = index < num
         missed = jax.tree.map(lambda x: x[jnp.minimum(index, num - 1)], update.missed)
         belief = jax.tree.map(functools.partial(jnp.where, legacy), missed, hit)
-        label = tracks.label[jnp.where(legacy, jnp.minimum(index, num - 1), parents[0])]
-        return belief, label, jnp.where(legacy, target.lost(missed), lost)
+        ancestor = jnp.where(legacy, jnp.minimum(index, num - 1), parents[0])
+        return belief, ancestor, jnp.where(legacy, target.lost(missed), lost)
 
-    belief, label, lost = jax.vmap(survivor)(kept)
+    belief, ancestor, lost = jax.vmap(survivor)(kept)
     dropped = prob.sum() - kept_prob.sum() + (kept_prob * lost).sum()
-    return Tracks(kept_prob, belief, label), dropped
+    # Nothing dropped can come out as minus one rounding.
+    names = tracks.label[ancestor], tracks.alias[ancestor]
+    return Tracks(kept_prob, belief, *names), jnp.maximum(dropped, 0.0)

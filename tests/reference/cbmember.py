@@ -1,6 +1,7 @@
 """The GM-MM-CBMeMBer filter as loops: Yuan 2013, eq. 30 to 36, and Algorithm 1.
 
-A track is (r, belief, label), with the beliefs of `reference.mixture`. The denominators
+A track is (r, belief, name), with the beliefs of `reference.mixture`; a name is (label,
+alias or None, label shown). The denominators
 are those of Vo, Vo and Cantoni 2009. Labels, parents and capacities follow the rules
 that `jaxtrack.trackers.cbmember` documents.
 """
@@ -36,17 +37,18 @@ def step(model, scene, settings, tracks, detections, next_label):
         updated.append(track)
         log_evidence += log_density
     tracks, dropped = keep(settings, legacy + updated)
-    tracks, next_label = inherit(settings, tracks, next_label)
+    tracks, next_label = tell_apart(settings, tracks, next_label)
     return tracks, next_label, log_evidence - scene.rate, dropped
 
 
 def predict(model, scene, tracks, next_label):
     predicted = []
-    for r, belief, label in tracks:
+    for r, belief, name in tracks:
         belief, survived = mixture.predict(model, belief)
-        predicted.append((r * survived, belief, label))
+        predicted.append((r * survived, belief, name))
     for r, m, P, mode_prob in scene.births:
-        predicted.append((r, mixture.begin(model, m, P, mode_prob), next_label))
+        name = next_label, None, next_label
+        predicted.append((r, mixture.begin(model, m, P, mode_prob), name))
         next_label += 1
     return predicted, next_label
 
@@ -54,23 +56,23 @@ def predict(model, scene, tracks, next_label):
 def miss(model, tracks):
     """The legacy tracks of eq. 34, and the log-probability that none was detected."""
     legacy, log_none = [], 0.0
-    for r, belief, label in tracks:
+    for r, belief, name in tracks:
         missed, prob = mixture.miss(model, belief)
         detected = 1 - prob
         log_none += np.log(1 - r * detected)
-        legacy.append((r * (1 - detected) / (1 - r * detected), missed, label))
+        legacy.append((r * (1 - detected) / (1 - r * detected), missed, name))
     return legacy, log_none
 
 
 def update(model, scene, settings, tracks, z):
     """The updated track of eq. 34, and the log of the detection's intensity."""
     numerator, denominator, hits = 0.0, scene.clutter, []
-    for r, belief, label in tracks:
+    for r, belief, name in tracks:
         detected = 1 - mixture.miss(model, belief)[1]
         corrected, density = mixture.correct(model, belief, z)
         numerator += (1 - r) * r * density / (1 - r * detected) ** 2
         denominator += r * density / (1 - r * detected)
-        hits.append((r / (1 - r) * density, corrected, label))
+        hits.append((r / (1 - r) * density, corrected, name))
     hits.sort(key=lambda hit: -hit[0])
     parents = hits[: settings.max_parents]
     weights = [w for w, _, _ in parents]
@@ -88,12 +90,17 @@ def keep(settings, tracks):
     return kept, dropped
 
 
-def inherit(settings, tracks, next_label):
-    heirs, labelled = set(), []
-    for r, belief, label in tracks:
+def tell_apart(settings, tracks, next_label):
+    """Rivals of an heir to a label are shown under an alias, which they keep."""
+    heirs, aliases, named = set(), set(), []
+    for r, belief, (label, alias, _) in tracks:
+        shown = label
         if r > settings.report_threshold:
             if label in heirs:
-                label, next_label = next_label, next_label + 1
+                if alias is None or alias in aliases:
+                    alias, next_label = next_label, next_label + 1
+                aliases.add(alias)
+                shown = alias
             heirs.add(label)
-        labelled.append((r, belief, label))
-    return labelled, next_label
+        named.append((r, belief, (label, alias, shown)))
+    return named, next_label
