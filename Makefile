@@ -13,9 +13,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 demo: $(VENV)/demo.stamp
 	$(BIN)/jaxtrack compare yuan2013-linear --runs 100 --seed 0 \
 	    --trackers gm-mm-cbmember,gm-cv-cbmember,gm-ct-cbmember --out $(OUT)/compare
-	harbour=$$($(BIN)/python -c \
-	    "from jaxtrack.data import files; print(files.harbour_path())") && \
-	$(BIN)/jaxtrack track "$$harbour" --truth-column MMSI --out $(OUT)/harbour
+	$(BIN)/jaxtrack track --harbour --out $(OUT)/harbour
 	@echo "Pictures:" && ls $(OUT)/compare/*.png $(OUT)/harbour/*.png
 
 test: lint fast slow

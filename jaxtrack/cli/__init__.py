@@ -17,13 +17,15 @@ except ModuleNotFoundError as missing:
         f'The command line needs {missing.name}: pip install "jaxtrack[cli]".'
     ) from missing
 
-from jaxtrack.cli import common, compare, scenarios
+from jaxtrack.cli import common, compare, config, scenarios, track
 
 app = typer.Typer(
     cls=common.Commands, add_completion=False, pretty_exceptions_enable=False
 )
 app.command("scenarios")(scenarios.scenarios)
 app.command("compare")(compare.compare)
+app.command("track")(track.track)
+app.command("config")(config.config)
 
 
 @app.callback(invoke_without_command=True)

@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.models.sensor import Timed
 from jaxtrack.types import Array, Gaussian, PyTree
 
 
@@ -115,11 +116,13 @@ class DetectionBirth(NamedTuple):
         )
         detections = jnp.where(valid[:, None], detections, 0.0)
         located = jax.vmap(sensor.locate)(detections)
-        prior = jax.vmap(self._prior, (None, 0))(motion, located)
+        timed = isinstance(sensor, Timed)
+        age = detections[:, -1] if timed else jnp.zeros(num, detections.dtype)
+        prior = jax.vmap(self._prior, (None, 0, 0))(motion, located, age)
         mode_prob = jnp.tile(self.mode_prob, (num, 1))
         return MultiBernoulliBirth(existence_prob, *prior, mode_prob)
 
-    def _prior(self, motion: PyTree, place: Gaussian) -> Gaussian:
+    def _prior(self, motion: PyTree, place: Gaussian, age: Array) -> Gaussian:
         """Returns the state [D] of a new target, given the belief about its place."""
         dim, where = motion.dim, motion.position_index
         further = [
@@ -133,8 +136,12 @@ class DetectionBirth(NamedTuple):
             mean[i] = place.mean[a]
             for b, j in enumerate(where):
                 cov[i][j] = place.cov[a, b]
-        for a, i in enumerate(motion.velocity_index):
-            cov[i][i] = self.velocity_std[a] ** 2
+        for a, (p, v) in enumerate(zip(where, motion.velocity_index, strict=True)):
+            # It has gone on for `age` seconds since it was seen, nobody knows where to.
+            speed_var = self.velocity_std[a] ** 2
+            cov[v][v] = speed_var
+            cov[p][v] = cov[v][p] = age * speed_var
+            cov[p][p] = cov[p][p] + age**2 * speed_var
         for a, i in enumerate(further):
             cov[i][i] = self.extra_std[a] ** 2
         return Gaussian(linalg.rows([mean])[0], linalg.rows(cov))

@@ -32,8 +32,13 @@ from jaxtrack.models.motion import ConstantVelocity
 from jaxtrack.models.probability import Constant
 from jaxtrack.models.sensor import Position
 from jaxtrack.models.switching import MarkovSwitching
-from jaxtrack.models.turn import CoordinatedTurn
-from jaxtrack.scenarios.world import Scenario, Truth, World, slots_for
+from jaxtrack.scenarios.world import (
+    Scenario,
+    Truth,
+    World,
+    slots_for,
+    turn_matrix,
+)
 from jaxtrack.targets import imm, mixture
 from jaxtrack.trackers import cbmember
 
@@ -116,8 +121,7 @@ def truth(interval: float) -> Truth:
         since = begin
         for leg_end, rate in LEGS:
             if (step := min(end, leg_end) - since) > 0:
-                turn = CoordinatedTurn(jnp.asarray(rate), jnp.zeros(()))
-                now = now @ np.asarray(turn.transition(jnp.asarray(step))).T
+                now = now @ turn_matrix(rate, float(step)).T
                 since += step
         state.append(now)
     exists = jnp.ones((len(state), len(STARTS)), bool)

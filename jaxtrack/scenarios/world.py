@@ -12,13 +12,16 @@
 [1 1 1] [1. 1. 1.]
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack import linalg
+from jaxtrack.models.turn import CoordinatedTurn
 from jaxtrack.types import Array, PyTree, Scan, Tracker
 
 
@@ -137,6 +140,18 @@ def _detect(key: Array, state: Array, motion: Any, sensor: Any) -> Array:
     noise = linalg.cholesky(sensor.cov()) @ white
     # The residual against zero wraps the angles of the noisy detection.
     return sensor.residual(expected + noise, 0 * expected)
+
+
+@functools.cache
+def turn_matrix(turn_rate: float, interval: float) -> np.ndarray:
+    """Returns what turning without noise does to [x, vx, y, vy], [4, 4].
+
+    Args:
+        turn_rate: rad/s, anticlockwise positive.
+        interval: Seconds.
+    """
+    turn = CoordinatedTurn(jnp.asarray(turn_rate), jnp.zeros(()))
+    return np.asarray(turn.transition(jnp.asarray(interval)))
 
 
 def slots_for(num_targets: int, clutter_rate: float) -> int:

@@ -23,8 +23,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.models.turn import CoordinatedTurn
-from jaxtrack.scenarios.world import Truth
+from jaxtrack.scenarios.world import Truth, turn_matrix
 
 REGION = 1000.0  # metres, the half width of the square that is watched
 DURATION = 50  # scans, one a second
@@ -50,8 +49,7 @@ def truth() -> Truth:
         for second in range(born, dies + 1):
             rate = rates[int(second > end_of_leg)]
             if second > born:
-                turn = CoordinatedTurn(jnp.asarray(rate), jnp.zeros(()))
-                now = np.asarray(turn.transition(jnp.asarray(1.0))) @ now
+                now = turn_matrix(rate, 1.0) @ now
             state[second - 1, n] = [*now, rate]
             exists[second - 1, n] = True
     return Truth(jnp.asarray(state), jnp.asarray(exists), jnp.arange(1.0, DURATION + 1))

@@ -187,7 +187,8 @@ def tell_apart(
     Of the tracks that exist with more than the threshold under one label, the likeliest
     is the heir and is reported under it. A rival is reported under an alias, which it
     keeps and hands on, but its label stays that of its ancestors: most rivals are a
-    second track of the same target, and one of the two soon goes.
+    second track of the same target, and one of the two soon goes. Who has an alias is
+    heir only where nobody without one is.
 
     Args:
         tracks: N tracks, likeliest first.
@@ -199,20 +200,21 @@ def tell_apart(
         next free label.
     """
     exists = tracks.existence_prob > threshold
-    rival = _repeats(tracks.label, exists)
+    slot = jnp.arange(exists.size)
+    rank = jnp.where(tracks.alias >= 0, slot + slot.size, slot)
+    rival = _repeats(tracks.label, exists, rank)
     known = rival & (tracks.alias >= 0)
-    named = known & ~_repeats(tracks.alias, known)
+    named = known & ~_repeats(tracks.alias, known, slot)
     fresh = next_label + jnp.cumsum(rival & ~named) - 1
     alias = jnp.where(rival & ~named, fresh, tracks.alias)
     shown = jnp.where(rival, alias, tracks.label)
     return tracks._replace(alias=alias), shown, next_label + (rival & ~named).sum()
 
 
-def _repeats(name: Array, among: Array) -> Array:
-    """Tells which of some slots repeat the name of an earlier one, [N] (bool)."""
-    slot = jnp.arange(name.size)
+def _repeats(name: Array, among: Array, rank: Array) -> Array:
+    """Tells which of some slots have the name of one of lower rank, [N] (bool)."""
     same = (name[:, None] == name[None]) & among[:, None] & among[None]
-    return (same & (slot[:, None] < slot[None])).any(0)
+    return (same & (rank[:, None] < rank[None])).any(0)
 
 
 def report(

@@ -21,12 +21,12 @@ The log-evidence of a scan is that of a product form, in which several detection
 stem from one track: exact for a single detection or where no two detections compete for
 a track. It is the normaliser that the filter's own update uses.
 
-How far off it is: with one detection the expected number of targets and the evidence are
-exact, for any number of tracks; but a track that exists almost surely passes only
-(1 - r) / (1 - r p_D) of its existence on to its detection, so p_D should be near one. Two
-targets so close that they compete for two detections are overcounted by 0.11 on average,
-one target with three detections in reach by 0.56 (p_D 0.9 to 0.99, heavy clutter, 300
-random scenes of `tests/test_cbmember.py` against brute force).
+How far off it is: with one detection the expected number of targets and the evidence
+are exact, for any number of tracks; but a track that exists almost surely passes only
+(1 - r) / (1 - r p_D) of its existence on to its detection, so p_D should be near one.
+Two targets so close that they compete for two detections are overcounted by 0.11 on
+average, one target with three detections in reach by 0.56 (p_D 0.9 to 0.99, heavy
+clutter, 300 random scenes of `tests/test_cbmember.py` against brute force).
 
     >>> from jaxtrack import targets, trackers
     >>> tracker = trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
@@ -49,7 +49,7 @@ import jax.numpy as jnp
 from jaxtrack import mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth
-from jaxtrack.trackers import bernoulli
+from jaxtrack.trackers import alternatives, bernoulli
 from jaxtrack.trackers.bernoulli import Estimate, Tracks
 from jaxtrack.types import Array, PyTree, Scan, Target, Tracker
 
@@ -86,6 +86,8 @@ class Settings(NamedTuple):
     max_parents: int
     prune_threshold: float
     report_threshold: float
+    merge_threshold: float
+    split_threshold: float
 
 
 class Update(NamedTuple):
@@ -117,6 +119,8 @@ def cbmember(
     max_parents: int = 8,
     prune_threshold: float = 1e-3,
     report_threshold: float = 0.5,
+    merge_threshold: float = 0.0,
+    split_threshold: float = 0.8,
 ) -> Tracker:
     """Makes a CBMeMBer filter.
 
@@ -127,6 +131,11 @@ def cbmember(
         max_parents: Tracks that may share in one detection's updated track.
         prune_threshold: Tracks that exist with less probability go.
         report_threshold: Tracks that exist with more probability are reported.
+        merge_threshold: Squared Mahalanobis distance within which tracks under one
+            label merge; then a label counts as a whole when it is reported. With 0
+            nothing merges and each track counts for itself.
+        split_threshold: Where tracks merge, a track beside a likelier one under its
+            label starts its own if it exists with more probability than this.
 
     Raises:
         ValueError: A size or threshold that makes no sense.
@@ -139,8 +148,19 @@ def cbmember(
     for name, value in {**thresholds, "report_threshold": report_threshold}.items():
         if not 0 <= value < 1:
             raise ValueError(f"{name} is {value}; give a probability from 0 up to 1")
+    if not merge_threshold >= 0:
+        raise ValueError(
+            f"merge_threshold is {merge_threshold}; give a squared distance, e.g. 4"
+        )
     settings = Settings(
-        target, max_tracks, max_births, max_parents, prune_threshold, report_threshold
+        target,
+        max_tracks,
+        max_births,
+        max_parents,
+        prune_threshold,
+        report_threshold,
+        merge_threshold,
+        split_threshold,
     )
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
@@ -171,7 +191,13 @@ def _step(
 
     update = _update(target, params, tracks, scan)
     tracks, dropped = _keep(settings, params.target, tracks, scan, update)
-    tracks, shown, label = bernoulli.tell_apart(tracks, label, threshold)
+    merging = settings.merge_threshold > 0
+    if merging:
+        tracks = alternatives.merge(target, tracks, settings.merge_threshold)
+    apart = settings.split_threshold if merging else threshold
+    tracks, shown, label = bernoulli.tell_apart(tracks, label, apart)
+    if merging:  # a label is one target, so a rival has its own for good
+        tracks = tracks._replace(label=shown, alias=jnp.full_like(shown, -1))
 
     if not isinstance(params.birth, DetectionBirth):
         following = tracks
@@ -189,6 +215,8 @@ def _step(
     estimate = bernoulli.report(
         target, tracks, shown, threshold, update.log_evidence, dropped
     )
+    if merging:
+        estimate = estimate._replace(exists=alternatives.heirs(tracks, threshold))
     return State(following, label, key), estimate
 
 

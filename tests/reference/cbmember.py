@@ -92,15 +92,18 @@ def keep(settings, tracks):
 
 def tell_apart(settings, tracks, next_label):
     """Rivals of an heir to a label are shown under an alias, which they keep."""
-    heirs, aliases, named = set(), set(), []
-    for r, belief, (label, alias, _) in tracks:
+    heirs, aliases, named = {}, set(), []
+    shows = [r > settings.report_threshold for r, _, _ in tracks]
+    for only_unnamed in (True, False):
+        for n, (_, _, (label, alias, _)) in enumerate(tracks):
+            if shows[n] and (alias is None or not only_unnamed):
+                heirs.setdefault(label, n)
+    for n, (r, belief, (label, alias, _)) in enumerate(tracks):
         shown = label
-        if r > settings.report_threshold:
-            if label in heirs:
-                if alias is None or alias in aliases:
-                    alias, next_label = next_label, next_label + 1
-                aliases.add(alias)
-                shown = alias
-            heirs.add(label)
+        if shows[n] and heirs[label] != n:
+            if alias is None or alias in aliases:
+                alias, next_label = next_label, next_label + 1
+            aliases.add(alias)
+            shown = alias
         named.append((r, belief, (label, alias, shown)))
     return named, next_label

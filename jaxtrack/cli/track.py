@@ -1,0 +1,170 @@
+"""The command `jaxtrack track`: tracks, a picture and scores from recorded detections.
+
+>>> from jaxtrack.cli import track
+>>> track.sentence({"idf1": 0.5, "num_switches": 3, "gospa": {"mean": 12.34}})
+'IDF1 0.500, 3 identity switches, GOSPA 12.3 m on average.'
+"""
+
+import contextlib
+import importlib
+import json
+import pathlib
+import warnings
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from jaxtrack.cli import common
+
+if TYPE_CHECKING:
+    from jaxtrack.data.files import Table
+    from jaxtrack.recorded.settings import Settings
+    from jaxtrack.recorded.tracking import Result
+
+# More expected targets than this lost in a scan, and the user is told.
+NEGLIGIBLE = 0.01
+
+
+def track(
+    file: Annotated[
+        pathlib.Path | None,
+        typer.Argument(help="CSV with columns time, and x, y (m) or lat, lon (deg)."),
+    ] = None,
+    config: Annotated[
+        pathlib.Path | None,
+        typer.Option(help="Settings, see `jaxtrack config`.  [default: from the data]"),
+    ] = None,
+    truth_column: Annotated[
+        str | None, typer.Option(help="Identities, to score against; never tracked.")
+    ] = None,
+    harbour: Annotated[
+        bool, typer.Option("--harbour", help="Track the ships of New York harbour.")
+    ] = False,
+    precision: Annotated[int, typer.Option(help="Bits of a float, 32 or 64.")] = 64,
+    out: Annotated[pathlib.Path, typer.Option(help="Where the results go.")] = (
+        pathlib.Path("out")
+    ),
+) -> None:
+    """Track recorded detections.
+
+    Writes tracks.csv, tracks.png and summary.json.
+    """
+    if (file is None) != harbour:
+        common.fail("give either a FILE, or --harbour for the file that ships with it")
+    common.need("pandas", "matplotlib", "scipy")
+    common.start_jax(precision)
+    from jaxtrack.data import files
+    from jaxtrack.recorded import scoring, settings, tracking
+
+    with common.bad_input(ValueError), warned():
+        if harbour:
+            file, truth_column = files.harbour_path(), truth_column or "MMSI"
+        chosen = settings.harbour() if harbour else settings.Settings()
+        if config:
+            chosen = settings.load(config)
+        table = read(file, chosen)
+        if truth_column is not None:
+            files.further_column(table, truth_column)
+        common.writable(out)
+        result = tracking.track(table, chosen)
+        scores = truth_column and scoring.score(result, table, truth_column)
+    summary = summarise(file, table, result)
+    if scores and truth_column:
+        part = scoring.summary(scores, result.settings.score)
+        summary["scores"] = {"truth_column": truth_column, **part}
+        typer.echo(sentence(part))
+    write(out, table, result, summary, truth_column)
+    warn(summary)
+    typer.echo(f"Wrote tracks.csv, tracks.png, summary.json in {out}.")
+
+
+def read(file: Any, settings: "Settings") -> "Table":
+    """Reads the detections, with the columns and the order that the settings name."""
+    from jaxtrack.data import files
+
+    names = {key: getattr(settings.file, key) for key in files.ALIASES}
+    columns = {key: name for key, name in names.items() if name is not None}
+    return files.read_detections(file, columns, settings.file.sort)
+
+
+def summarise(file: Any, table: "Table", result: "Result") -> dict[str, Any]:
+    """Collects what summary.json holds but for the scores."""
+    from jaxtrack.recorded import settings
+
+    estimates, scans = result.estimates, result.scans
+    return {
+        "file": pathlib.Path(file).name,
+        "version": importlib.import_module("jaxtrack").__version__,
+        "detections": len(table.time),
+        "scans": len(scans.time),
+        "tracks": len(set(estimates.label[estimates.exists].tolist())),
+        "reported": int(estimates.exists.sum()),
+        "dropped_detections": int(scans.dropped.sum()),
+        "dropped": float(estimates.dropped.mean()),
+        "log_evidence": float(estimates.log_evidence.sum()),
+        "seconds": result.seconds,
+        "compile_seconds": result.compile_seconds,
+        "settings": settings.as_dict(result.settings),
+    }
+
+
+def write(
+    out: pathlib.Path,
+    table: "Table",
+    result: "Result",
+    summary: dict[str, Any],
+    truth_column: str | None,
+) -> None:
+    """Writes the tracks, the picture and the summary."""
+    from jaxtrack.data import files, tables
+    from jaxtrack.recorded import picture
+
+    motion = result.motion
+    index = motion.position_index, motion.velocity_index
+    place = table.origin, table.start
+    tracks = tables.tracks_table(result.scans.time, result.estimates, *index, *place)
+    tables.write_tracks(out / "tracks.csv", tracks)
+    truth = None
+    if truth_column is not None:
+        truth = files.further_column(table, truth_column)
+    title = f"{summary['file']}: {summary['tracks']} tracks"
+    figure = picture.chart(result, table, truth, title)
+    figure.savefig(out / "tracks.png", dpi=150)
+    text = json.dumps(summary, indent=2, allow_nan=False)
+    (out / "summary.json").write_text(text + "\n")
+
+
+def sentence(scores: dict[str, Any]) -> str:
+    """Says how well the tracks fit the truth."""
+    gospa = scores["gospa"]["mean"]
+    distance = "not scored" if gospa is None else f"{gospa:.1f} m on average"
+    return (
+        f"IDF1 {scores['idf1']:.3f}, {scores['num_switches']} identity switches, "
+        f"GOSPA {distance}."
+    )
+
+
+def warn(summary: dict[str, Any]) -> None:
+    """Says what may make the tracks worse than they could be."""
+    if summary["dropped"] > NEGLIGIBLE:
+        common.say(
+            f"Warning: {summary['dropped']:.2g} expected targets a scan were dropped "
+            "for want of room; raise max_tracks, max_births or max_parents."
+        )
+    period = summary["settings"]["scans"]["period"]
+    if period is None and summary["detections"] < 1.5 * summary["scans"]:
+        common.say(
+            "Warning: most scans hold a single detection; if targets report one by "
+            "one, set a period in [scans]."
+        )
+
+
+@contextlib.contextmanager
+def warned() -> Iterator[None]:
+    """Prints warnings as sentences."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        common.say("Warning: " + " ".join(str(warning.message).split()))

@@ -1,0 +1,169 @@
+"""From a table of detections and settings to tracks.
+
+The tracker is the cardinality balanced multi-Bernoulli filter on a bank of modes, as
+`trackers.cbmember` and `targets.imm` document. In scans of a fixed length each
+detection keeps the time at which it was taken (`models.sensor.Timed`).
+
+    >>> import numpy as np
+    >>> from jaxtrack.data import files
+    >>> from jaxtrack.recorded import tracking
+    >>> time = np.arange(8.0)
+    >>> wobble = np.sin(7 * np.stack([time, time + 1], 1))
+    >>> table = files.Table(time, 20 * time[:, None] + wobble, {}, None, None)
+    >>> result = tracking.track(table)
+    >>> int(result.estimates.exists[-1].sum())
+    1
+"""
+
+import functools
+import time
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtrack import engine, models
+from jaxtrack.data import scans as grouping
+from jaxtrack.data.errors import DataError
+from jaxtrack.data.files import Table
+from jaxtrack.models.rest import Rest
+from jaxtrack.recorded import guess
+from jaxtrack.recorded.settings import Mode, Settings, known
+from jaxtrack.targets import imm
+from jaxtrack.trackers import cbmember
+from jaxtrack.types import Tracker
+
+
+class Result(NamedTuple):
+    """What came out.
+
+    Attributes:
+        estimates: The tracker's `Estimate` with a leading T, of NumPy arrays.
+        scans: The T scans.
+        settings: The settings, none open.
+        motion: A motion model, which says where positions and velocities stand.
+        seconds: Run time.
+        compile_seconds: Compile time.
+    """
+
+    estimates: Any
+    scans: grouping.Scans
+    settings: Settings
+    motion: Any
+    seconds: float
+    compile_seconds: float
+
+
+def track(table: Table, settings: Settings | None = None, seed: int = 0) -> Result:
+    """Tracks the detections of a table.
+
+    Args:
+        table: From `data.files.read_detections`; its further columns are not looked at.
+        settings: What is open in them is taken from the data; by default everything.
+        seed: Of the tracker's key.
+
+    Returns:
+        Tracks, and what they were made with.
+
+    Raises:
+        DataError: If the detections are too few, or settings do not fit them.
+    """
+    if len(table.time) < 2:
+        raise DataError(
+            "There is only one detection; a track needs at least two, at two times."
+        )
+    scans = group(table, settings or Settings())
+    if len(scans.time) < 2:
+        raise DataError(
+            "All detections are in one scan; a track needs at least two scans, so set "
+            "a smaller period in [scans]."
+        )
+    settings = guess.complete(settings or Settings(), scans)
+    tracker, params = make(table, settings)
+    # NumPy's float64 becomes jax's float here, whichever that is.
+    scan = jax.tree.map(lambda x: jnp.asarray(x, _dtype(x)), scans.scan)
+    began = time.perf_counter()
+    program = run.lower(tracker, params, scan, jax.random.key(seed)).compile()
+    compiled = time.perf_counter()
+    estimates = jax.block_until_ready(program(params, scan, jax.random.key(seed)))
+    seconds = time.perf_counter() - compiled
+    return Result(
+        estimates=jax.tree.map(np.asarray, estimates),
+        scans=scans,
+        settings=settings,
+        motion=params.target.layout,
+        seconds=seconds,
+        compile_seconds=compiled - began,
+    )
+
+
+def group(table: Table, settings: Settings) -> grouping.Scans:
+    """Groups a table into scans; those of a fixed length keep the detections' ages."""
+    period, size = settings.scans
+    timed = period is not None
+    return grouping.group_scans(table.time, table.xy, period, size, ages=timed)
+
+
+def make(table: Table, settings: Settings) -> tuple[Tracker, cbmember.Params]:
+    """Makes the tracker and its parameters.
+
+    Args:
+        table: The detections, whose bounding box is where clutter may be.
+        settings: None open, see `guess.complete`.
+    """
+    modes = list(settings.modes.values())
+    two = jnp.ones(2)
+    noise = known(settings.sensor.noise_std)
+    sensor: Any = models.sensor.Position(noise * two)
+    if settings.scans.period is not None:
+        sensor = models.sensor.Timed(sensor)
+    targets, capacity = settings.targets, settings.tracker
+    share = jnp.array([mode.birth_share for mode in modes], float)
+    params = cbmember.Params(
+        target=imm.Params(
+            motions=tuple(_motion(mode) for mode in modes),
+            switching=_switching(modes),
+            sensor=sensor,
+            survive=models.probability.Lifetime(jnp.array(targets.lifetime, float)),
+            detect=models.probability.PerMode(
+                jnp.array([mode.detect_prob for mode in modes], float)
+            ),
+        ),
+        birth=models.birth.DetectionBirth(
+            rate=jnp.array(targets.birth_rate, float),
+            max_existence_prob=jnp.array(targets.birth_prob, float),
+            velocity_std=known(targets.speed_std) * two,
+            extra_std=jnp.zeros(0),
+            mode_prob=share / share.sum(),
+        ),
+        clutter=models.clutter.UniformClutter(
+            rate=jnp.array(settings.sensor.clutter_rate, float),
+            low=jnp.asarray(table.xy.min(0) - 10 * noise, float),
+            high=jnp.asarray(table.xy.max(0) + 10 * noise, float),
+        ),
+    )
+    return cbmember.cbmember(imm.imm(), **capacity._asdict()), params
+
+
+run = functools.partial(jax.jit, static_argnums=0)(engine.run)
+
+
+def _motion(mode: Mode) -> Any:
+    """Makes a mode's motion model."""
+    two = jnp.ones(2)
+    if mode.rest:
+        return Rest(known(mode.noise_density) * two, known(mode.drift_std) * two)
+    return models.motion.ConstantVelocity(known(mode.noise_density) * two)
+
+
+def _switching(modes: list[Mode]) -> models.switching.SojournSwitching:
+    """Lets each mode be left for any other with equal odds."""
+    num = len(modes)
+    odds = (np.ones((num, num)) - np.eye(num)) / max(num - 1, 1)
+    sojourn = jnp.array([mode.sojourn for mode in modes], float)
+    return models.switching.SojournSwitching(sojourn, jnp.asarray(odds, float))
+
+
+def _dtype(array: np.ndarray) -> Any:
+    return float if np.issubdtype(array.dtype, np.floating) else array.dtype
