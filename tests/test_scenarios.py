@@ -94,9 +94,10 @@ def test_detections_scatter_around_the_truth(name):
         )
         / jnp.sqrt(jnp.diagonal(model.cov()))[None, None]
     )
-    near = scans.valid[:, 25] & (jnp.abs(error).max(-1) < 4)
-    assert 0.8 < near.any(1).mean() <= 1
-    assert 0.7 < error[near].std() < 1.4
+    distance = jnp.linalg.norm(error, axis=-1)
+    nearest = jnp.where(scans.valid[:, 25], distance, jnp.inf).min(1)
+    # The length of two standard normal errors has the median 1.18.
+    assert 0.7 < jnp.median(nearest) < 1.7
 
 
 def test_a_target_without_noise_is_seen_where_it_is():

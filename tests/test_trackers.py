@@ -176,6 +176,12 @@ def detection_birth_case():
     )
 
 
+def merging_case():
+    maker = functools.partial(cbmember.cbmember, merge_threshold=4.0)
+    plain = line_case(single.single(), single_params(), 1)
+    return plain._replace(make=functools.partial(maker, single.single()))
+
+
 CASES = {
     "cbmember_single": lambda: line_case(single.single(), single_params(), 1),
     "cbmember_imm": lambda: line_case(imm.imm(), two_mode_params(), 2),
@@ -184,6 +190,7 @@ CASES = {
     ),
     "cbmember_ekf": ekf_case,
     "cbmember_detection_birth": detection_birth_case,
+    "cbmember_merging": merging_case,
 }
 every_tracker = pytest.mark.parametrize("name", CASES)
 
@@ -458,7 +465,8 @@ def roomy(name):
     return to_numpy(run(case_of(name).params, random_scans(name, 0)))[1]
 
 
-@every_tracker
+# A roomy tracker that merges takes into its tracks what a tight one has dropped.
+@pytest.mark.parametrize("name", [n for n in CASES if n != "cbmember_merging"])
 def test_capacities_drop_the_least_likely_and_say_so(name):
     """Until slots first run out, a tracker with more of them is in the same state."""
     tight, large = alone(name)[0][1], roomy(name)

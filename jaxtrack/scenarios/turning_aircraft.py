@@ -21,6 +21,7 @@ Reference: Liu, Shen, Wang, Meng, Wang and Varshney, "Randomized multiple model 
 hypothesis tracking", 2021, section 4, and its supplement, appendix E.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -66,6 +67,7 @@ def make(
     interval: float = 5.0,
     max_components: int = 6,
     max_tracks: int = 16,
+    merge_threshold: float = 0.0,
 ) -> Scenario:
     """Makes the scenario; the filters are told the true clutter and detection.
 
@@ -76,6 +78,8 @@ def make(
         interval: Seconds between scans; the paper has 1, 5 and 10.
         max_components: Gaussians a mode, for `gm-` trackers.
         max_tracks: Tracks that a filter keeps.
+        merge_threshold: Of `cbmember`: 4.0 merges the tracks of one target, which the
+            paper does not; 0.0 keeps to the paper.
     """
     clutter = UniformClutter(
         jnp.asarray(clutter_rate, float), jnp.array(REGION_LOW), jnp.array(REGION_HIGH)
@@ -94,7 +98,10 @@ def make(
         )
         return cbmember.Params(target, births(len(densities)), clutter)
 
-    gaussians = cbmember.cbmember(mixture.mixture(max_components), max_tracks)
+    tracker = functools.partial(
+        cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
+    )
+    gaussians = tracker(mixture.mixture(max_components))
     both, smooth = params(*NOISE_DENSITIES), params(NOISE_DENSITIES[0])
     return Scenario(
         name="turning-aircraft",
@@ -102,7 +109,7 @@ def make(
         world=World(truth(interval), both.target.layout, sensor, detect, clutter),
         trackers={
             "gm-mm-cbmember": (gaussians, both),
-            "imm-mm-cbmember": (cbmember.cbmember(imm.imm(), max_tracks), both),
+            "imm-mm-cbmember": (tracker(imm.imm()), both),
             "gm-cv-cbmember": (gaussians, smooth),
         },
         max_detections=slots_for(len(STARTS), clutter_rate),

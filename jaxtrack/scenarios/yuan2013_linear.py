@@ -19,6 +19,7 @@ Reference: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget 
 Bernoulli filter for tracking maneuvering targets", 2013, Table 3 for the OSPA.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -52,6 +53,7 @@ def make(
     survive_prob: float = 0.95,
     max_components: int = 6,
     max_tracks: int = 16,
+    merge_threshold: float = 0.0,
 ) -> Scenario:
     """Makes the scenario; the filters are told the true clutter and detection.
 
@@ -61,6 +63,8 @@ def make(
         survive_prob: Of the filters; the truth follows Table 1.
         max_components: Gaussians a mode, for `gm-` trackers.
         max_tracks: Tracks that a filter keeps.
+        merge_threshold: Of `cbmember`: 4.0 merges the tracks of one target, which the
+            paper does not; 0.0 keeps to the paper.
     """
     clutter = UniformClutter(
         jnp.asarray(clutter_rate, float),
@@ -80,8 +84,11 @@ def make(
         )
         return cbmember.Params(target, births(len(turn_rates)), clutter)
 
-    gaussians = cbmember.cbmember(mixture.mixture(max_components), max_tracks)
-    bank = cbmember.cbmember(imm.imm(), max_tracks)
+    tracker = functools.partial(
+        cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
+    )
+    gaussians = tracker(mixture.mixture(max_components))
+    bank = tracker(imm.imm())
     truth = yuan2013.truth()
     return Scenario(
         name="yuan2013-linear",

@@ -23,6 +23,8 @@ Reference: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget 
 Bernoulli filter for tracking maneuvering targets", 2013, Table 2 for the OSPA.
 """
 
+import functools
+
 import jax.numpy as jnp
 
 from jaxtrack import linearize
@@ -56,6 +58,7 @@ def make(
     survive_prob: float = 0.95,
     max_components: int = 6,
     max_tracks: int = 16,
+    merge_threshold: float = 0.0,
 ) -> Scenario:
     """Makes the scenario; the filters are told the true clutter and detection.
 
@@ -65,6 +68,8 @@ def make(
         survive_prob: Of the filters; the truth follows Table 1.
         max_components: Gaussians a mode, for `gm-` and `uk-` trackers.
         max_tracks: Tracks that a filter keeps.
+        merge_threshold: Of `cbmember`: 4.0 merges the tracks of one target, which the
+            paper does not; 0.0 keeps to the paper.
     """
     corner, origin = yuan2013.REGION * jnp.ones(2), jnp.zeros(2)
     sensor = RangeBearing(jnp.array(SENSOR_STD), origin, jnp.zeros(()))
@@ -74,20 +79,20 @@ def make(
     )
 
     def params(*modes: PiecewiseAcceleration) -> cbmember.Params:
-        many = len(modes) > 1
-        stay = jnp.array([[STAY_PROB, 1 - STAY_PROB], [1 - STAY_PROB, STAY_PROB]])
         target = imm.Params(
             motions=modes,
-            switching=MarkovSwitching(stay if many else jnp.ones((1, 1))),
+            switching=switching(len(modes)),
             sensor=sensor,
             survive=Constant(jnp.asarray(survive_prob, float)),
             detect=detect,
         )
         return cbmember.Params(target, births(len(modes)), clutter)
 
-    extended = mixture.mixture(max_components)
-    unscented = mixture.mixture(max_components, method=linearize.unscented)
-    gaussians = cbmember.cbmember(extended, max_tracks)
+    tracker = functools.partial(
+        cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
+    )
+    gaussians = tracker(mixture.mixture(max_components))
+    sigma_points = mixture.mixture(max_components, method=linearize.unscented)
     both = params(straight(), turning())
     truth = yuan2013.truth()
     return Scenario(
@@ -96,8 +101,8 @@ def make(
         world=World(truth, both.target.layout, sensor, detect, clutter),
         trackers={
             "gm-mm-cbmember": (gaussians, both),
-            "uk-mm-cbmember": (cbmember.cbmember(unscented, max_tracks), both),
-            "imm-mm-cbmember": (cbmember.cbmember(imm.imm(), max_tracks), both),
+            "uk-mm-cbmember": (tracker(sigma_points), both),
+            "imm-mm-cbmember": (tracker(imm.imm()), both),
             "gm-cv-cbmember": (gaussians, params(straight())),
             "gm-ct-cbmember": (gaussians, params(turning())),
         },
@@ -106,6 +111,14 @@ def make(
         order=2.0,
         published=PUBLISHED,
     )
+
+
+def switching(num_modes: int) -> MarkovSwitching:
+    """Returns equation 43 for two modes, none for one."""
+    if num_modes == 1:
+        return MarkovSwitching(jnp.ones((1, 1)))
+    leave = 1 - STAY_PROB
+    return MarkovSwitching(jnp.array([[STAY_PROB, leave], [leave, STAY_PROB]]))
 
 
 def straight() -> PiecewiseAcceleration:
