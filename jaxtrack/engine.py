@@ -1,17 +1,19 @@
 """Running a tracker over time, and over many simulated runs.
 
-estimates = run(tracker, params, scans, key)          # T scans
-dataset = monte_carlo(scenario, ["gm-mm-cbmember"])   # R runs, scored
+    estimates = run(tracker, params, scans, key)          # T scans
+    dataset = monte_carlo(scenario, ["gm-mm-cbmember"])   # R runs, scored
 
->>> import jax
->>> from jaxtrack import engine
->>> from jaxtrack.scenarios import yuan2013_linear
->>> scenario = yuan2013_linear.make()
->>> truth, scans = scenario.simulate(jax.random.key(0))
->>> tracker, params = scenario.trackers["imm-mm-cbmember"]
->>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
->>> estimates.mean.shape
-(50, 16, 4)
+One run looks like this:
+
+    >>> import jax
+    >>> from jaxtrack import engine
+    >>> from jaxtrack.scenarios import yuan2013_linear
+    >>> scenario = yuan2013_linear.make()
+    >>> truth, scans = scenario.simulate(jax.random.key(0))
+    >>> tracker, params = scenario.trackers["imm-mm-cbmember"]
+    >>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
+    >>> estimates.mean.shape
+    (50, 16, 4)
 """
 
 import functools

@@ -21,7 +21,7 @@ from jax.scipy.special import logsumexp
 
 from jaxtrack import kalman
 from jaxtrack.linalg import safe_log
-from jaxtrack.mixture import moment_match, total
+from jaxtrack.mixture import log_normalise, moment_match, total
 from jaxtrack.types import Affine, Array, Gaussian, Mixture
 
 
@@ -105,7 +105,7 @@ def update(
 
     Returns:
         The posterior bank, weights summing to one, and the log-density of the
-        detection under the prior bank (a scalar).
+        detection under the prior bank (a scalar; -inf where no mode has weight).
     """
 
     def one(belief: Gaussian, sensor: Affine) -> tuple[Gaussian, Array]:
@@ -113,6 +113,7 @@ def update(
 
     posterior, log_density = jax.vmap(one)(Gaussian(bank.mean, bank.cov), sensors)
     log_weight = bank.log_weight + log_density
-    scale = total(log_weight)
-    log_evidence = scale - total(bank.log_weight)
-    return Mixture(log_weight - scale, posterior.mean, posterior.cov), log_evidence
+    before = total(bank.log_weight)
+    log_evidence = total(log_weight) - jnp.where(before > -jnp.inf, before, 0.0)
+    weight = log_normalise(log_weight)
+    return Mixture(weight, posterior.mean, posterior.cov), log_evidence

@@ -70,7 +70,9 @@ def unscented(
     """Regresses a function on the sigma points of the unscented transform.
 
     The centre has weight 1 - D / spread, the other 2 D points share the rest. The
-    default, spread = 3, matches the fourth moment of a Gaussian along each axis.
+    default, spread = 3, matches the fourth moment of a Gaussian along each axis. With
+    more than 3 components the centre's weight is then negative, and where the function
+    is far from a line the result may lose positive definiteness; `cubature` cannot.
 
     Args:
         function: [D] -> [Z].

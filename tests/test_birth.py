@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference import models as plain
 
-from jaxtrack.models.birth import DetectionBirth
+from jaxtrack.models.birth import DetectionBirth, PoissonBirth
 from jaxtrack.models.motion import ConstantAcceleration, ConstantVelocity
 from jaxtrack.models.sensor import Position, RangeBearing, Timed
 from jaxtrack.models.turn import TurnRate
@@ -79,3 +79,14 @@ def test_an_aged_detection_is_placed_where_it_was_taken():
         1.0,
     )
     np.testing.assert_allclose(got.mean, [[5, 0, 6, 0]])
+
+
+def test_poisson_births_become_at_most_one_a_place():
+    rate = jnp.array([0.02, 0.7])
+    births = PoissonBirth(rate, jnp.ones((2, 3)), jnp.ones((2, 3, 3)), jnp.ones((2, 1)))
+    few = births.at_most_one()
+    drawn = np.random.default_rng(0).poisson(rate, (200_000, 2))
+    np.testing.assert_allclose(few.existence_prob, (drawn > 0).mean(0), rtol=0.05)
+    short = drawn.mean(0) - few.existence_prob
+    np.testing.assert_allclose(short, rate + jnp.exp(-rate) - 1, atol=3e-3)
+    assert few.mean is births.mean

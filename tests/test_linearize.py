@@ -118,7 +118,7 @@ def test_unscented_is_the_unscented_kalman_filter():
     # FilterPy measures its propagated points, which here are those of the prior.
     still.update(DETECTION)
     np.testing.assert_allclose(posterior.mean, still.x, rtol=1e-9)
-    np.testing.assert_allclose(posterior.cov, still.P, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(posterior.cov, still.P, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(log_density, still.log_likelihood, rtol=1e-9)
 
     turned = peer_of(turning, 5, move)
@@ -153,7 +153,7 @@ def test_cubature_is_the_cubature_kalman_filter():
     expected = belief.mean + gain @ (DETECTION - mean)
     np.testing.assert_allclose(posterior.mean, expected, rtol=1e-9)
     cov = belief.cov - gain @ spread @ gain.T
-    np.testing.assert_allclose(posterior.cov, cov, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(posterior.cov, cov, rtol=1e-9, atol=1e-9)
     mean, cov, _ = cubature_moments(lambda x: move(x, 1.5), turning)
     np.testing.assert_allclose(predicted.mean, mean, rtol=1e-9)
     cov = cov + np.array(TURN.noise(1.5))

@@ -24,6 +24,16 @@ CASES = {
     "cv 1-D": (ConstantVelocity(ONE), plain.constant_velocity(ONE)),
     "cv 3-D": (ConstantVelocity(THREE), plain.constant_velocity(THREE)),
     "ca 2-D": (ConstantAcceleration(TWO), plain.constant_acceleration(TWO)),
+    "ca 3-D": (ConstantAcceleration(THREE), plain.constant_acceleration(THREE)),
+    "singer 1-D": (Singer(ONE, 3 * ONE), plain.singer(ONE, 3 * ONE)),
+    "singer 3-D": (
+        Singer(THREE, 3 * THREE[::-1]),
+        plain.singer(THREE, 3 * THREE[::-1]),
+    ),
+    "ou 3-D": (
+        OrnsteinUhlenbeck(THREE, 3 * THREE[::-1]),
+        plain.ornstein_uhlenbeck(THREE, 3 * THREE[::-1]),
+    ),
     "singer 2-D": (Singer(TWO, 3 * TWO[::-1]), plain.singer(TWO, 3 * TWO[::-1])),
     "ou 2-D": (
         OrnsteinUhlenbeck(TWO, 3 * TWO[::-1]),

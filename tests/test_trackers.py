@@ -13,8 +13,8 @@ import numpy as np
 import optax
 import pytest
 
-from jaxtrack import engine
-from jaxtrack.models import birth, clutter, motion, probability, sensor, switching
+from jaxtrack import engine, linearize
+from jaxtrack.models import birth, clutter, motion, probability, sensor, switching, turn
 from jaxtrack.targets import imm, mixture, single
 from jaxtrack.trackers import cbmember
 from jaxtrack.types import Scan
@@ -182,6 +182,66 @@ def merging_case():
     return plain._replace(make=functools.partial(maker, single.single()))
 
 
+def unscented_case():
+    """The UK form of the mixture: unknown turn rate, range and bearing."""
+    plain = ekf_case()
+    places = np.array([[100.0, 3.0, 80.0, -2.0, 0.1], [-60.0, 1.0, 120.0, 2.0, -0.1]])
+    births = plain.params.birth._replace(
+        mean=places, cov=np.tile(np.diag(array(25.0, 4.0, 36.0, 9.0, 0.02)), (2, 1, 1))
+    )
+    target = imm.Params(
+        motions=(
+            turn.ForgottenTurn(
+                turn.CoordinatedTurn(value(0.05), value(0.4)), value(0.15)
+            ),
+            turn.TurnRate(value(0.6), value(1e-3)),
+        ),
+        switching=switching.SojournSwitching(
+            array(9.0, 6.0), np.array([[0.0, 1.0], [1.0, 0.0]])
+        ),
+        sensor=plain.params.target.sensor,
+        survive=plain.params.target.survive,
+        detect=plain.params.target.detect,
+    )
+    births = births._replace(mode_prob=np.array([[0.7, 0.3], [0.4, 0.6]]))
+    maker = mixture.mixture(max_components=1, method=linearize.unscented)
+    return plain._replace(
+        make=functools.partial(cbmember.cbmember, maker),
+        params=cbmember.Params(target, births, plain.params.clutter),
+    )
+
+
+def far_field_case():
+    """A field of view far from the origin, where the beliefs of empty slots are."""
+    offset = array(9e3, 0.0, 0.0, 0.0)
+    births = birth.MultiBernoulliBirth(
+        existence_prob=array(0.2, 0.1),
+        mean=np.array([[-20.0, 2.0, 4.0, 1.0], [15.0, -1.0, -6.0, 0.5]]) + offset,
+        cov=np.tile(np.diag(array(9.0, 4.0, 16.0, 5.0)), (2, 1, 1)),
+        mode_prob=np.array([[0.7, 0.3], [0.4, 0.6]]),
+    )
+    low, high = array(9e3 - 60, -60.0), array(9e3 + 60, 60.0)
+    target = two_mode_params()._replace(
+        motions=tuple(motion.ConstantVelocity(array(q, q)) for q in (0.2, 4.0)),
+        sensor=sensor.Position(array(1.2, 0.8)),
+        detect=probability.InsideDisc(
+            value(0.95), array(9e3, 0.0), value(500.0), value(10.0)
+        ),
+    )
+    paths = np.stack([PATHS[..., 0] + 9e3, 0.3 * PATHS[..., 0]], -1)
+    return Case(
+        make=functools.partial(cbmember.cbmember, imm.imm()),
+        params=cbmember.Params(
+            target, births, clutter.UniformClutter(value(1.5), low, high)
+        ),
+        low=low,
+        high=high,
+        paths=paths,
+        capacities=SMALL,
+        large=LARGE,
+    )
+
+
 CASES = {
     "cbmember_single": lambda: line_case(single.single(), single_params(), 1),
     "cbmember_imm": lambda: line_case(imm.imm(), two_mode_params(), 2),
@@ -191,6 +251,8 @@ CASES = {
     "cbmember_ekf": ekf_case,
     "cbmember_detection_birth": detection_birth_case,
     "cbmember_merging": merging_case,
+    "cbmember_unscented": unscented_case,
+    "cbmember_far_field": far_field_case,
 }
 every_tracker = pytest.mark.parametrize("name", CASES)
 

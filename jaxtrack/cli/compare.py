@@ -223,6 +223,6 @@ def warn(scenario: str, summary: dict[str, Any]) -> None:
     for tracker, dropped in worst.items():
         if dropped > NEGLIGIBLE:
             common.say(
-                f"Warning: {tracker} dropped {dropped:.2g} expected targets a scan for "
-                f"want of room; raise {remedy} with --set."
+                f"Warning: {tracker} dropped {dropped:.2g} expected targets a scan, or "
+                f"parts of their mixtures, for want of room; raise {remedy} with --set."
             )

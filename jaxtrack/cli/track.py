@@ -8,6 +8,7 @@
 import contextlib
 import importlib
 import json
+import math
 import pathlib
 import warnings
 from collections.abc import Iterator
@@ -93,6 +94,7 @@ def summarise(file: Any, table: "Table", result: "Result") -> dict[str, Any]:
     from jaxtrack.recorded import settings
 
     estimates, scans = result.estimates, result.scans
+    evidence = float(estimates.log_evidence.sum())
     return {
         "file": pathlib.Path(file).name,
         "version": importlib.import_module("jaxtrack").__version__,
@@ -102,7 +104,8 @@ def summarise(file: Any, table: "Table", result: "Result") -> dict[str, Any]:
         "reported": int(estimates.exists.sum()),
         "dropped_detections": int(scans.dropped.sum()),
         "dropped": float(estimates.dropped.mean()),
-        "log_evidence": float(estimates.log_evidence.sum()),
+        # JSON has no infinity; None where a scan was impossible to the model.
+        "log_evidence": evidence if math.isfinite(evidence) else None,
         "seconds": result.seconds,
         "compile_seconds": result.compile_seconds,
         "settings": settings.as_dict(result.settings),
@@ -151,6 +154,11 @@ def warn(summary: dict[str, Any]) -> None:
         common.say(
             f"Warning: {summary['dropped']:.2g} expected targets a scan were dropped "
             "for want of room; raise max_tracks, max_births or max_parents."
+        )
+    if not summary["tracks"]:
+        common.say(
+            "Warning: no track was reported; look at the settings of the sensor and of "
+            "the targets in summary.json."
         )
     period = summary["settings"]["scans"]["period"]
     if period is None and summary["detections"] < 1.5 * summary["scans"]:

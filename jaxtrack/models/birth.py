@@ -62,6 +62,14 @@ class PoissonBirth(NamedTuple):
     cov: Array
     mode_prob: Array
 
+    def at_most_one(self) -> MultiBernoulliBirth:
+        """Returns births of at most one target a place, as likely as any here.
+
+        The number born at a place is then too small by rate + exp(-rate) - 1.
+        """
+        prob = -jnp.expm1(-self.rate)
+        return MultiBernoulliBirth(prob, self.mean, self.cov, self.mode_prob)
+
 
 class DetectionBirth(NamedTuple):
     """Expects new targets where the last scan's unexplained detections were.

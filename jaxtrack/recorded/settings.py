@@ -147,9 +147,7 @@ _NOT_NEGATIVE = _Bound("a finite number of 0 or more", lambda x: 0 <= x < math.i
 _POSITIVE = _Bound("a finite number above 0", lambda x: 0 < x < math.inf)
 _COUNT = _Bound("1 or more", lambda x: x >= 1)
 _BOUNDS = {
-    **dict.fromkeys(
-        ("clutter_rate", "birth_rate", "birth_share", "merge_threshold"), _NOT_NEGATIVE
-    ),
+    **dict.fromkeys(("birth_rate", "birth_share", "merge_threshold"), _NOT_NEGATIVE),
     **dict.fromkeys(("detect_prob", "birth_prob"), _PROB),
     **dict.fromkeys(
         ("prune_threshold", "report_threshold", "split_threshold"), _BELOW_ONE

@@ -33,6 +33,8 @@ BOUNDS: tuple[tuple[str, str, Callable[[float], bool]], ...] = (
     ("_prob", "a probability from 0 to 1", lambda x: 0 <= x <= 1),
     ("clutter_rate", "0 or more", lambda x: x >= 0),
     ("max_", "at least 1", lambda x: x >= 1),
+    ("interval", "more than 0", lambda x: x > 0),
+    ("_threshold", "0 or more", lambda x: x >= 0),
 )
 
 

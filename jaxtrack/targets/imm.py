@@ -5,8 +5,7 @@ The modes may be any motions over the same state; they share one sensor.
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack import models
     >>> from jaxtrack.targets import imm
-    >>> from jaxtrack.targets import verbs
-from jaxtrack.types import Gaussian
+    >>> from jaxtrack.types import Gaussian
     >>> smooth, rough = (
     ...     models.motion.ConstantVelocity(q * jnp.ones(1)) for q in (0.1, 9.0))
     >>> params = imm.Params(

@@ -8,8 +8,7 @@ detection that depend on the state are taken at the mean.
     >>> import jax.numpy as jnp
     >>> from jaxtrack import models
     >>> from jaxtrack.targets import single
-    >>> from jaxtrack.targets import verbs
-from jaxtrack.types import Gaussian
+    >>> from jaxtrack.types import Gaussian
     >>> params = single.Params(
     ...     motion=models.motion.ConstantVelocity(noise_density=jnp.ones(1)),
     ...     sensor=models.sensor.Position(noise_std=jnp.ones(1)),

@@ -48,7 +48,7 @@ def merge(target: Target, tracks: Tracks, threshold: float) -> Tracks:
         gap = belief.mean[slot] - belief.mean[leader][None]
         ahead = _square(gap, jnp.broadcast_to(lower[leader][None], lower[slot].shape))
         far = jnp.maximum(ahead, _square(gap, lower[slot]))
-        return slot, (weight > 0) & (far < threshold)
+        return slot, (weight > 0) & (far <= threshold)
 
     slot, close = jax.vmap(near)(jnp.arange(num))
 

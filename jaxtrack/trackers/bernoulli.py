@@ -45,11 +45,17 @@ class Tracks(NamedTuple):
 class Estimate(NamedTuple):
     """What a scan taught, for the user; the likeliest tracks come first.
 
-    Attributes: mean: [N, D]. cov: [N, D, D]. label: Which target it is, [N] (int).
-        exists: Report this one, [N] (bool). existence_prob: [N]; its sum is the
-        expected number of targets. mode_prob: [N, M]. log_evidence: Log-density of the
-        scan given the past; the tracker says how exact. dropped: Expected number of
-        targets that the capacities threw away.
+    Attributes:
+        mean: [N, D].
+        cov: [N, D, D].
+        label: Which target it is, [N] (int).
+        exists: Report this one, [N] (bool).
+        existence_prob: [N]; its sum is the expected number of targets.
+        mode_prob: [N, M].
+        log_evidence: Log-density of the scan given the past; how exact, the tracker
+            says.
+        dropped: Expected number of targets, or of the parts of their mixtures, that the
+            capacities threw away.
     """
 
     mean: Array

@@ -4,9 +4,9 @@ The belief about all targets is a set of independent tracks, each with a probabi
 that it exists. One scan is
 
     tracks = predict(tracks) + births               # each may die, new ones may appear
-    for each track:      a legacy track             # it was missed for each detection:
-    an updated track           # it caused it, whoever it is keep the
-    likeliest tracks, report those that exist with more than even odds
+    for each track:      a legacy track             # it was missed
+    for each detection:  an updated track           # it was caused, by whomever
+    keep the likeliest tracks, report those that exist with more than even odds
 
 `cbmember(target=mixture(...))` with several modes is the GM-MM-CBMeMBer filter, with
 one mode the GM-CBMeMBer filter; with a nonlinear model and `linearize.taylor` or
@@ -19,7 +19,9 @@ is reported under an alias (`bernoulli.tell_apart`).
 
 The log-evidence of a scan is that of a product form, in which several detections may
 stem from one track: exact for a single detection or where no two detections compete for
-a track. It is the normaliser that the filter's own update uses.
+a track. It is the normaliser that the filter's own update uses. A detection that
+neither a track nor clutter can explain makes it -inf: keep the clutter's box wide and
+its rate above zero.
 
 How far off it is: with one detection the expected number of targets and the evidence
 are exact, for any number of tracks; but a track that exists almost surely passes only
@@ -48,7 +50,7 @@ import jax.numpy as jnp
 
 from jaxtrack import mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth
+from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.trackers import alternatives, bernoulli
 from jaxtrack.trackers.bernoulli import Estimate, Tracks
 from jaxtrack.types import Array, PyTree, Scan, Target, Tracker
@@ -59,13 +61,14 @@ class Params(NamedTuple):
 
     Attributes:
         target: The `Params` of the target.
-        birth: `models.birth.MultiBernoulliBirth` (known places, after the prediction)
-            or `DetectionBirth` (where the last scan left detections unexplained).
+        birth: `models.birth.MultiBernoulliBirth` or `PoissonBirth` (known places, after
+            the prediction; at most one a place), or `DetectionBirth` (where the last
+            scan left detections unexplained).
         clutter: Of `models.clutter`.
     """
 
     target: Any
-    birth: MultiBernoulliBirth | DetectionBirth
+    birth: MultiBernoulliBirth | PoissonBirth | DetectionBirth
     clutter: Any
 
 
@@ -145,7 +148,11 @@ def cbmember(
         if size < 1:
             raise ValueError(f"{name} is {size}; give at least 1")
     thresholds = {"prune_threshold": prune_threshold}
-    for name, value in {**thresholds, "report_threshold": report_threshold}.items():
+    thresholds |= {
+        "report_threshold": report_threshold,
+        "split_threshold": split_threshold,
+    }
+    for name, value in thresholds.items():
         if not 0 <= value < 1:
             raise ValueError(f"{name} is {value}; give a probability from 0 up to 1")
     if not merge_threshold >= 0:
@@ -185,8 +192,11 @@ def _step(
     label = state.next_label
 
     tracks = bernoulli.predict(target, params.target, state.tracks, scan.interval)
-    if isinstance(params.birth, MultiBernoulliBirth):
-        born = bernoulli.begin(target, params.target, params.birth, label, birth_key)
+    if not isinstance(params.birth, DetectionBirth):
+        places = params.birth
+        if isinstance(places, PoissonBirth):
+            places = places.at_most_one()
+        born = bernoulli.begin(target, params.target, places, label, birth_key)
         tracks, label = bernoulli.append(tracks, born), label + born.label.size
 
     update = _update(target, params, tracks, scan)
@@ -246,7 +256,7 @@ def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Updat
         legacy_prob=prob * jnp.exp(log_miss) / empty_prob,
         updated_prob=(share[:-1] * absent_given_empty[:, None]).sum(0),
         log_weight=safe_log(prob / (1 - prob))[:, None] + score,
-        unexplained_prob=share[-1],
+        unexplained_prob=jnp.where(possible, share[-1], 1.0),
         log_evidence=jnp.where(scan.valid, log_total, 0.0).sum()
         + jnp.log(empty_prob).sum()
         - params.clutter.rate,
