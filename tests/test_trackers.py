@@ -254,7 +254,12 @@ CASES = {
     "cbmember_unscented": unscented_case,
     "cbmember_far_field": far_field_case,
 }
-every_tracker = pytest.mark.parametrize("name", CASES)
+# The UK form compiles for a minute; it is tested with the slow ones.
+NAMES = [
+    pytest.param(name, marks=[pytest.mark.slow] if "unscented" in name else [])
+    for name in CASES
+]
+every_tracker = pytest.mark.parametrize("name", NAMES)
 
 
 @functools.cache
@@ -528,7 +533,9 @@ def roomy(name):
 
 
 # A roomy tracker that merges takes into its tracks what a tight one has dropped.
-@pytest.mark.parametrize("name", [n for n in CASES if n != "cbmember_merging"])
+@pytest.mark.parametrize(
+    "name", [name for name in NAMES if name.values != ("cbmember_merging",)]
+)
 def test_capacities_drop_the_least_likely_and_say_so(name):
     """Until slots first run out, a tracker with more of them is in the same state."""
     tight, large = alone(name)[0][1], roomy(name)

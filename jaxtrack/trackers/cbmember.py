@@ -31,9 +31,8 @@ average, one target with three detections in reach by 0.56 (p_D 0.9 to 0.99, hea
 clutter, 300 random scenes of `tests/test_cbmember.py` against brute force).
 
     >>> from jaxtrack import targets, trackers
-    >>> tracker = trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
-    >>> tracker is trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)
-    True
+    >>> trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)._fields
+    ('init', 'step')
 
 References: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget multi-
 Bernoulli filter for tracking maneuvering targets", 2013, equations 6 to 13 and 30 to
@@ -147,14 +146,11 @@ def cbmember(
     for name, size in {**sizes, "max_parents": max_parents}.items():
         if size < 1:
             raise ValueError(f"{name} is {size}; give at least 1")
-    thresholds = {"prune_threshold": prune_threshold}
-    thresholds |= {
-        "report_threshold": report_threshold,
-        "split_threshold": split_threshold,
-    }
-    for name, value in thresholds.items():
+    given = prune_threshold, report_threshold, split_threshold
+    for name, value in zip(("prune", "report", "split"), given, strict=True):
         if not 0 <= value < 1:
-            raise ValueError(f"{name} is {value}; give a probability from 0 up to 1")
+            message = f"{name}_threshold is {value}; give a probability from 0 up to 1"
+            raise ValueError(message)
     if not merge_threshold >= 0:
         raise ValueError(
             f"merge_threshold is {merge_threshold}; give a squared distance, e.g. 4"
