@@ -112,6 +112,14 @@ def test_births_keep_the_likeliest_and_count_the_rest(num_births):
     np.testing.assert_allclose(lost, 0.05, atol=1e-12)
 
 
+def test_poisson_births_begin_one_track_a_place():
+    places = Gaussian(jnp.ones((2, 2)), jnp.tile(jnp.eye(2), (2, 1, 1)))
+    births = birth.PoissonBirth(jnp.array([0.1, 0.7]), *places, jnp.ones((2, 1)))
+    born = bernoulli.begin(TARGET, PARAMS, births, jnp.array(4), jax.random.key(0))
+    np.testing.assert_allclose(born.existence_prob, 1 - np.exp([-0.1, -0.7]))
+    assert born.label.tolist() == [4, 5]
+
+
 def test_survival_lowers_existence_and_moves_the_belief():
     tracks = tracks_of([0.5, 0.0], [1, -1])
     moved = bernoulli.predict(TARGET, PARAMS, tracks, jnp.array(2.0))

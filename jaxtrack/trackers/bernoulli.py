@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth
+from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target
 
 
@@ -116,7 +116,7 @@ def predict(target: Target, params: Any, tracks: Tracks, interval: Array) -> Tra
 def begin(
     target: Target,
     params: Any,
-    births: MultiBernoulliBirth,
+    births: MultiBernoulliBirth | PoissonBirth,
     next_label: Array,
     key: Array,
 ) -> Tracks:
@@ -125,13 +125,15 @@ def begin(
     Args:
         target: How one target is filtered.
         params: The target's `Params`.
-        births: B places.
+        births: B places; at most one target is born at each.
         next_label: The first free label.
         key: Random key.
 
     Returns:
         B tracks.
     """
+    if isinstance(births, PoissonBirth):
+        births = births.at_most_one()
     size = births.existence_prob.size
     belief = jax.vmap(target.begin, (None, 0, 0, 0))(
         params,

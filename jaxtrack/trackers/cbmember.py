@@ -189,10 +189,7 @@ def _step(
 
     tracks = bernoulli.predict(target, params.target, state.tracks, scan.interval)
     if not isinstance(params.birth, DetectionBirth):
-        places = params.birth
-        if isinstance(places, PoissonBirth):
-            places = places.at_most_one()
-        born = bernoulli.begin(target, params.target, places, label, birth_key)
+        born = bernoulli.begin(target, params.target, params.birth, label, birth_key)
         tracks, label = bernoulli.append(tracks, born), label + born.label.size
 
     update = _update(target, params, tracks, scan)
