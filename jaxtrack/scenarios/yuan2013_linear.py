@@ -8,7 +8,7 @@ modes, clutter uniform over the region, tracks pruned at 0.001, components at 1e
 merged at 4, OSPA of order 2 with cutoff 100 m.
 
 Not printed, and chosen: the initial velocities (see `yuan2013`); 4 is read as a squared
-Mahalanobis distance, as in the paper's reference code; the capacity of 100 components a
+Mahalanobis distance, since metres fit no covariance; the capacity of 100 components a
 track becomes `max_components` a mode.
 
     >>> from jaxtrack.scenarios import yuan2013_linear
