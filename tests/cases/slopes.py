@@ -19,6 +19,16 @@ def flat(tree):
     return np.concatenate(leaves).astype(float)
 
 
+def rows_of(tree, rows):
+    """The tree that `flat` was taken of, with rows [B, E] of entries for each leaf."""
+    leaves, structure = jax.tree.flatten(tree)
+    ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
+    parts = zip(np.split(rows, ends, axis=1), leaves, strict=True)
+    return jax.tree.unflatten(
+        structure, [part.reshape(len(rows), *np.shape(leaf)) for part, leaf in parts]
+    )
+
+
 def walks(tree, floor=1e-2, step=STEP):
     """Moves each of the E entries by `step` times its scale, ahead and back.
 
@@ -31,17 +41,10 @@ def walks(tree, floor=1e-2, step=STEP):
     Returns:
         The tree with a leading axis of 2 E, and the scales [E].
     """
-    leaves, structure = jax.tree.flatten(tree)
-    sizes = [np.abs(np.asarray(leaf)) for leaf in leaves]
+    sizes = [np.abs(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
     scale = flat([np.maximum(x, floor * (x.max(initial=0.0) or 1.0)) for x in sizes])
     ahead = np.diag(step * scale)
-    rows = flat(leaves) + np.concatenate([ahead, -ahead])
-    ends = np.cumsum([x.size for x in sizes])[:-1]
-    moved = [
-        part.reshape(len(rows), *x.shape)
-        for part, x in zip(np.split(rows, ends, axis=1), sizes, strict=True)
-    ]
-    return jax.tree.unflatten(structure, moved), scale
+    return rows_of(tree, flat(tree) + np.concatenate([ahead, -ahead])), scale
 
 
 def differences(values, step=STEP):
@@ -60,7 +63,11 @@ def names(tree):
 
 def assert_right(tree, slope, found, scale, rtol, atol):
     """Holds a slope against differences and names the entries that are wrong."""
-    expected = flat(slope) * scale
+    assert_near(tree, flat(slope) * scale, found, rtol, atol)
+
+
+def assert_near(tree, expected, found, rtol, atol):
+    """Holds slopes [E] per scale against differences, and names what is wrong."""
     wrong = ~np.isclose(expected, found, rtol=rtol, atol=atol)
     report = [
         f"{name}: {a} by gradient, {b} by differences"
