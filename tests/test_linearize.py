@@ -1,6 +1,7 @@
-"""Tests of jaxtrack.linearize against FilterPy, finite differences and sampling."""
+"""Tests of jaxtrack.linearize against FilterPy, dynamax and finite differences."""
 
 import functools
+import warnings
 
 import chex
 import filterpy.kalman
@@ -13,7 +14,6 @@ from jaxtrack import kalman, linearize
 from jaxtrack.models import motion, sensor, turn
 from jaxtrack.types import Gaussian
 
-QUICK = {"xla_backend_optimization_level": 0}  # compiling takes longer than running
 METHODS = {
     "taylor": linearize.taylor,
     "unscented": linearize.unscented,
@@ -128,6 +128,72 @@ def test_unscented_is_the_unscented_kalman_filter():
     np.testing.assert_allclose(predicted.cov, turned.P, rtol=1e-9, atol=1e-9)
 
 
+def turning_track(num_scans=8):
+    """A belief at the first scan, and detections of a target that turns by 2.4 rad."""
+    belief, rng = turning_belief(), np.random.default_rng(5)
+    far = RADAR._replace(position=np.array([-400.0, -300.0]))  # away from the wrap
+    state, rows = belief.mean + np.array([3.0, 2.0, -4.0, 1.0, 0.02]), []
+    for _ in range(num_scans):
+        dx, dy = state[[0, 2]] - far.position
+        seen = np.array([np.hypot(dx, dy), np.arctan2(dy, dx) - 0.3])
+        rows.append(seen + far.noise_std * rng.normal(size=2))
+        state = move(state, 1.5)
+    return belief, far, np.array(rows)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def track(method, belief, radar, detections):
+    """Filtered and next predicted beliefs of each scan, and the log-density of all."""
+
+    def scan(belief, detection):
+        seen = linearize.sensor_affine(radar, TURN, belief, method)
+        posterior, log_density = kalman.update(belief, seen, detection, radar.residual)
+        motion = linearize.motion_affine(TURN, posterior, jnp.array(1.5), method)
+        belief = kalman.predict(posterior, motion)
+        return belief, (posterior, belief, log_density)
+
+    filtered, predicted, log_density = jax.lax.scan(scan, belief, detections)[1]
+    return filtered, predicted, log_density.sum()
+
+
+@pytest.mark.parametrize("name", ["taylor", "unscented"])
+def test_a_track_agrees_with_dynamax(name, monkeypatch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its dependencies deprecate one another
+        from dynamax import nonlinear_gaussian_ssm as peer
+        from dynamax.nonlinear_gaussian_ssm import inference_ekf, inference_ukf
+
+    # It adds 1e-9 to the diagonal of what it solves with, much beside a bearing.
+    for module in (inference_ekf, inference_ukf):
+        plain = functools.partial(module.psd_solve, diagonal_boost=0.0)
+        monkeypatch.setattr(module, "psd_solve", plain)
+    belief, radar, detections = turning_track()
+    params = peer.ParamsNLGSSM(
+        initial_mean=jnp.asarray(belief.mean),
+        initial_covariance=jnp.asarray(belief.cov),
+        dynamics_function=lambda state: TURN.move(state, 1.5),
+        dynamics_covariance=TURN.noise(1.5),
+        emission_function=lambda state: radar.measure(state[jnp.array([0, 2])], None),
+        emission_covariance=radar.cov(),
+    )
+    # Our sigma points in its letters: alpha^2 (D + kappa) = 3, one centre weight.
+    points = peer.UKFHyperParams(alpha=1.0, beta=0.0, kappa=3 - belief.mean.size)
+    filters = {
+        "taylor": lambda z: peer.extended_kalman_filter(params, z),
+        "unscented": lambda z: peer.unscented_kalman_filter(params, z, points),
+    }
+    with jax.numpy_rank_promotion("allow"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = jax.jit(filters[name])(detections)
+    expected = (
+        Gaussian(theirs.filtered_means, theirs.filtered_covariances),
+        Gaussian(theirs.predicted_means, theirs.predicted_covariances),
+        theirs.marginal_loglik,
+    )
+    ours = track(METHODS[name], belief, radar, detections)
+    chex.assert_trees_all_close(ours, expected, rtol=1e-9, atol=1e-9)
+
+
 def cubature_moments(function, belief):
     """Mean, covariance and cross-covariance by the cubature rule, as a loop."""
     dim, lower = belief.mean.size, np.linalg.cholesky(belief.cov)
@@ -216,7 +282,7 @@ def test_linear_models_are_taken_exactly(method):
 def test_gradients_are_right(method):
     belief = jax.tree.map(jnp.asarray, near_belief())
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @jax.jit
     @jax.value_and_grad
     def loss(belief):
         seen = linearize.sensor_affine(RADAR, STRAIGHT, belief, method)
