@@ -19,6 +19,8 @@ from jaxtrack.scenarios.world import observe
 SWEEP = {"clutter_rate": [1, 3]}
 RUNS = 7
 INDEX = [0, 2]  # where positions stand
+simulate = jax.jit(observe, static_argnums=6)
+score_chunk = jax.jit(engine.score_chunk, static_argnums=(0, 1))
 
 
 def make(clutter_rate=1.0):
@@ -48,12 +50,12 @@ def run_by_hand(name, seed, run, clutter_rate, max_detections):
     scenario = make(clutter_rate)
     key = jax.random.fold_in(jax.random.key(seed), run)
     scan_key, tracker_key = jax.random.split(key)
-    scans = observe(scan_key, *scenario.world, max_detections)
+    scans = simulate(scan_key, *scenario.world, max_detections)
     tracker, params = scenario.trackers[name]
-    state = tracker.init(params, tracker_key)
+    state, step = tracker.init(params, tracker_key), jax.jit(tracker.step)
     for t in range(small.NUM_SCANS):
         scan = jax.tree.map(lambda x, t=t: x[t], scans)
-        state, estimate = tracker.step(params, state, scan)
+        state, estimate = step(params, state, scan)
         truth = scenario.world.truth
         there = np.asarray(truth.state[t])[np.asarray(truth.exists[t])][:, INDEX]
         told = np.asarray(estimate.mean)[np.asarray(estimate.exists)][:, INDEX]
@@ -118,7 +120,7 @@ def test_seed_and_run_change_the_data(sweep):
 def test_data_do_not_depend_on_the_capacity_of_a_scan():
     world = make(clutter_rate=2).world
     key = jax.random.key(0)
-    few, many = (observe(key, *world, capacity) for capacity in (12, 30))
+    few, many = (simulate(key, *world, capacity) for capacity in (12, 30))
     assert not many.valid[:, 12:].any()
     cut = many._replace(detections=many.detections[:, :12], valid=many.valid[:, :12])
     chex.assert_trees_all_equal(few.valid, cut.valid)
@@ -131,7 +133,7 @@ def test_a_run_is_the_same_whatever_the_chunk(sweep):
     tracker, params = scenario.trackers["near"]
     keys = engine.run_keys(3, 2, 4)
     world = scenario.world
-    scores = engine.score_chunk(tracker, 7, params, world, 30.0, 2.0, keys)
+    scores = score_chunk(tracker, 7, params, world, 30.0, 2.0, keys)
     expected = sweep[0].sel(setting="clutter_rate=3", tracker="near", run=range(2, 6))
     for name, values in scores._asdict().items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-12)

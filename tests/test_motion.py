@@ -41,7 +41,11 @@ CASES = {
     ),
 }
 INTERVALS = np.array([1e-3, 0.3, 1.4, 1.6, 5.9, 6.1, 25.0])
-every_case = pytest.mark.parametrize("case", CASES)
+# What the axes share is seen on one and on three; two are for the slow tests.
+every_case = pytest.mark.parametrize(
+    "case",
+    [pytest.param(x, marks=[pytest.mark.slow] if "2-D" in x else []) for x in CASES],
+)
 
 
 @functools.cache

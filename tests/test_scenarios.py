@@ -104,7 +104,7 @@ def test_a_target_without_noise_is_seen_where_it_is():
     truth = world.Truth(
         jnp.arange(8.0).reshape(2, 1, 4), jnp.array([[True], [False]]), jnp.arange(2.0)
     )
-    scans = world.observe(
+    scans = jax.jit(world.observe, static_argnums=6)(
         jax.random.key(0),
         truth,
         motion.ConstantVelocity(jnp.ones(2)),
