@@ -18,6 +18,7 @@ from jaxtrack.models import (
     sensor,
     special,
     switching,
+    trig,
     turn,
 )
 
@@ -31,5 +32,6 @@ __all__ = [
     "sensor",
     "special",
     "switching",
+    "trig",
     "turn",
 ]

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.models import trig
 from jaxtrack.types import Array, Gaussian
 
 
@@ -35,7 +36,7 @@ def direction(offset: Array) -> Array:
     """Returns the angle of a vector [2], 0 with gradient 0 where it has no length."""
     somewhere = (offset * offset).sum() > 0
     x = jnp.where(somewhere, offset[0], 1.0)
-    return jnp.arctan2(jnp.where(somewhere, offset[1], 0.0), x)
+    return trig.atan2(jnp.where(somewhere, offset[1], 0.0), x)
 
 
 def locate_plane(distance: Array, angle: Array, std: Array) -> Gaussian:
@@ -52,7 +53,7 @@ def locate_plane(distance: Array, angle: Array, std: Array) -> Gaussian:
     Returns:
         Mean [2] and covariance [2, 2].
     """
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    sin, cos = trig.sincos(angle)
     distance_var, angle_var = std[0] ** 2, std[1] ** 2
     arc = (distance**2 + distance_var) * angle_var
     turn = linalg.rows([[cos, -sin], [sin, cos]])
@@ -78,8 +79,8 @@ def locate_space(
     Returns:
         Mean [3] and covariance [3, 3].
     """
-    cos, sin = jnp.cos(azimuth), jnp.sin(azimuth)
-    level, up = jnp.cos(elevation), jnp.sin(elevation)
+    sin, cos = trig.sincos(azimuth)
+    up, level = trig.sincos(elevation)
     azimuth_var, elevation_var, distance_var = std[0] ** 2, std[1] ** 2, std[2] ** 2
     square = distance**2 + distance_var
     arc = square * (level**2 + up**2 * elevation_var) * azimuth_var
