@@ -1,4 +1,4 @@
-# `make demo` and `make test` do all the set-up themselves, in .venv.
+# `make demo`, `make test` and `make bench` do all the set-up themselves, in .venv.
 # A stamp file remembers it, so that the second call starts at once.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -8,7 +8,7 @@ OUT := out
 # One worker keeps a whole file, so no program is compiled by both.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: demo test lint fast slow clean
+.PHONY: demo test lint fast slow bench clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/jaxtrack compare yuan2013-linear --runs 100 --seed 0 \
@@ -29,6 +29,10 @@ fast: $(VENV)/test.stamp
 slow: $(VENV)/test.stamp
 	$(PYTEST) -m slow
 
+# Writes benchmarks/results/latest.json and the table in README.md.
+bench: $(VENV)/bench.stamp
+	$(BIN)/python -m benchmarks
+
 clean:
 	rm -rf $(VENV) $(OUT) .cache .pytest_cache .ruff_cache build dist
 
@@ -44,4 +48,8 @@ $(VENV)/demo.stamp: pyproject.toml | $(BIN)/python
 
 $(VENV)/test.stamp: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet -e ".[cli,plot,io,data,test,notebooks]"
+	touch $@
+
+$(VENV)/bench.stamp: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet -e ".[io,bench]"
 	touch $@

@@ -1,0 +1,64 @@
+"""Runs all benchmarks, each in a process of its own, and keeps their rows."""
+
+import argparse
+import importlib.metadata
+import json
+import os
+import pathlib
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from benchmarks import climit, table
+
+ALL = (
+    *("kalman", "extended", "imm", "gaussians", "gradient"),
+    *("cores", "start", "study", "growth"),
+)
+PACKAGES = ("jax", "jaxlib", "numpy", "dynamax", "filterpy", "stonesoup")
+
+
+def made_with() -> dict[str, Any]:
+    """Returns what the results depend on besides the code."""
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    flags = os.environ.get("XLA_FLAGS", "")
+    return {"cpu": climit.cpu_model(), "versions": versions, "xla_flags": flags}
+
+
+def run(name: str, quick: bool) -> list[dict[str, Any]]:
+    """Runs one benchmark and returns its rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder, "rows.json")
+        command = [sys.executable, "-m", f"benchmarks.{name}", "--out", str(path)]
+        subprocess.run([*command, *(["--quick"] if quick else [])], check=True)
+        return [{"benchmark": name, **row} for row in json.loads(path.read_text())]
+
+
+def main() -> None:
+    """Runs all and writes `results/latest.json` and the table in README.md."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true", help="tiny sizes; keep nothing")
+    quick = parser.parse_args().quick
+    rows = []
+    for name in ALL:
+        start = time.monotonic()
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        rows += run(name, quick)
+        print(f"    {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+    if not quick:
+        results = {"made_with": made_with(), "rows": rows}
+        table.LATEST.parent.mkdir(exist_ok=True)
+        table.LATEST.write_text(json.dumps(results, indent=1) + "\n")
+        table.paste()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""The benchmarks run, on tiny sizes, and say what they should; nothing is timed."""
+
+import doctest
+import functools
+import importlib
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from benchmarks import climit, common, problems, table
+
+FAST = ("gaussians",)
+SLOW = (
+    *("kalman", "extended", "imm", "gradient"),
+    *("cores", "start", "study", "growth"),
+)
+KEYS = {
+    *("work", "precision", "rate", "unit", "peer", "ratio_to_peer", "limit"),
+    *("ratio_to_limit", "spread", "compile_seconds", "error"),
+}
+
+
+def name_and_mark(name):
+    return pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
+
+
+@pytest.mark.filterwarnings("ignore")  # of the peers
+@pytest.mark.parametrize("name", [name_and_mark(x) for x in FAST + SLOW])
+def test_benchmark_fills_its_rows(name, monkeypatch):
+    monkeypatch.setattr(common, "ENOUGH", 0.0)
+    monkeypatch.setattr(common, "pin", lambda cores=1: None)
+    module = importlib.import_module(f"benchmarks.{name}")
+    with jax.numpy_rank_promotion("allow"):
+        rows = [json.loads(json.dumps(x._asdict())) for x in module.rows(common.QUICK)]
+
+    assert rows
+    for row in rows:
+        assert set(row) == KEYS
+        assert row["rate"] > 0
+        assert (row["peer"] is None) == (row["ratio_to_peer"] is None)
+        assert (row["limit"] is None) == (row["ratio_to_limit"] is None)
+        assert table.line(row).count("|") == 6
+
+
+@pytest.mark.parametrize("name", ["common", "climit", "peers", "problems", "table"])
+def test_example_holds(name):
+    module = importlib.import_module(f"benchmarks.{name}")
+    assert doctest.testmod(module).failed == 0
+
+
+def test_wrong_result_is_not_timed():
+    with pytest.raises(ValueError, match="a peer is off by 5.0e-01"):
+        common.check("a peer", np.array([1.0, 3.0]), np.array([1.0, 2.0]), 1e-3)
+    with pytest.raises(ValueError, match="a peer is off by nan"):
+        common.check("a peer", np.array([1.0, np.nan]), np.array([1.0, 2.0]), 1e-3)
+
+
+def test_ratios_are_those_of_the_time(monkeypatch):
+    clock = iter(range(10**6))
+    monkeypatch.setattr(common.time, "process_time", lambda: next(clock))
+    fast, slow = (common.Job(name, lambda: None, n) for name, n in (("f", 8), ("s", 2)))
+    row = common.compare("work", "float32", fast, [slow], limit=fast, rounds=3)[0]
+    assert row.rate == 8.0
+    assert row.ratio_to_peer == 4.0
+    assert row.ratio_to_limit == 1.0
+    assert row.spread == 0.0
+
+
+def test_without_a_compiler_there_is_no_limit(monkeypatch):
+    monkeypatch.setattr(climit.shutil, "which", lambda name: None)
+    monkeypatch.setattr(climit, "library", functools.cache(climit.library.__wrapped__))
+    assert climit.call("kalman", "float32") is None
+
+
+def test_no_two_runs_share_a_prior_covariance():
+    for problem in problems.linear(8, 2), problems.turning(8, 2):
+        assert len(np.unique(problem.cov[:, 0, 0])) == 8
+
+
+def test_table_is_pasted_between_its_marks(tmp_path, monkeypatch):
+    row = common.Row("a filter", "float32", 1234567.0, "steps/s", "a peer", 12.345)
+    results = {
+        "made_with": {"cpu": "a processor", "versions": {"jax": "1.0"}},
+        "rows": [{"benchmark": "kalman", **row._asdict()}],
+    }
+    latest, readme = tmp_path / "latest.json", tmp_path / "README.md"
+    latest.write_text(json.dumps(results))
+    readme.write_text(f"before\n{table.BEGIN}old\n{table.END}after\n")
+    monkeypatch.setattr(table, "LATEST", latest)
+    monkeypatch.setattr(table, "README", readme)
+    table.paste()
+    text = readme.read_text()
+    assert text.startswith(f"before\n{table.BEGIN}")
+    assert text.endswith(f"{table.END}after\n")
+    assert "| a filter | 32 | 1.23 M steps/s | 12.3 x a peer |  |" in text
+    assert "old" not in text
