@@ -42,10 +42,9 @@ def moment_match(weight: Array, mean: Array, cov: Array) -> Gaussian:
     chex.assert_shape(weight, (num,))
     chex.assert_shape(cov, (num, dim, dim))
 
-    centre = (weight[:, None] * mean).sum(0)
+    centre = _weighted(weight[None], mean)[0]
     spread = mean - centre[None]
-    between = spread[:, :, None] * spread[:, None, :]
-    return Gaussian(centre, (weight[:, None, None] * (cov + between)).sum(0))
+    return Gaussian(centre, _weighted(weight[None], cov + _outer(spread))[0])
 
 
 def log_normalise(log_weight: Array) -> Array:
@@ -149,17 +148,20 @@ def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> A
         Numbers from 0, in the order of the leaders, [N] (int); -1 also marks an empty
         slot.
     """
-    num = mixture.log_weight.size
+    num, dim = mixture.mean.shape
     log_weight, mean, cov = jax.tree.map(jax.lax.stop_gradient, mixture)
-    lower = jax.vmap(linalg.cholesky)(cov)
-    slots = jnp.arange(num)
+    slots, axes = jnp.arange(num), range(dim)
+    # Vectors over the components, and nothing in the loop that could be outside.
+    inverse = jax.vmap(_inverse_factor)(cov)
+    factor = [[inverse[:, i, j] for j in range(i + 1)] for i in axes]
+    place = [mean[:, i] for i in axes]
 
     def grow(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         count, cluster, free = carry
         leader = jnp.argmax(jnp.where(free, log_weight, -jnp.inf))
-        gap = mean - mean[leader][None]
-        white = jax.vmap(linalg.solve_lower)(lower, gap)
-        near = (white * white).sum(1) <= threshold
+        gap = [x - x[leader] for x in place]
+        white = [sum(row[j] * gap[j] for j in range(len(row))) for row in factor]
+        near = sum(x * x for x in white) <= threshold
         joins = free & (near | (slots == leader))
         return count + 1, jnp.where(joins, count, cluster), free & ~joins
 
@@ -182,11 +184,24 @@ def merge_clusters(mixture: Mixture, cluster: Array, num_clusters: int) -> Mixtu
         and the moments of component 0.
     """
     member = cluster[None] == jnp.arange(num_clusters)[:, None]  # [cluster, member]
-    log_weight = jnp.where(member, mixture.log_weight[None], -jnp.inf)
-    merged = jax.vmap(moment_match, (0, None, None))(
-        jax.vmap(normalise)(log_weight), mixture.mean, mixture.cov
+    inside, mine = cluster >= 0, jnp.maximum(cluster, 0)
+    heaviest = jnp.where(member, mixture.log_weight[None], -jnp.inf).max(1)
+    filled = heaviest > -jnp.inf
+    heaviest = jax.lax.stop_gradient(jnp.where(filled, heaviest, 0.0))
+
+    # Relative to its cluster's heaviest no weight is above one, and one is one.
+    log_weight = jnp.where(inside, mixture.log_weight - heaviest[mine], -jnp.inf)
+    weight = jnp.where(member, jnp.exp(log_weight)[None], 0.0)
+    total = jnp.where(filled, weight.sum(1), 1.0)
+    weight = weight / total[:, None]
+    centre = _weighted(weight, mixture.mean)
+    spread = mixture.mean - centre[mine]
+    within = _weighted(weight, mixture.cov + _outer(spread))
+    return Mixture(
+        jnp.where(filled, heaviest + jnp.log(total), -jnp.inf),
+        jnp.where(filled[:, None], centre, mixture.mean[:1]),
+        jnp.where(filled[:, None, None], within, mixture.cov[:1]),
     )
-    return Mixture(jax.vmap(total)(log_weight), merged.mean, merged.cov)
 
 
 def reduce(
@@ -212,11 +227,42 @@ def reduce(
     """
     mixture = prune(mixture, prune_threshold)
     cluster = clusters(mixture, merge_threshold, max_components)
-    merged = merge_clusters(mixture, cluster, max_components)
+    return join(mixture, cluster, max_components)
+
+
+def join(mixture: Mixture, cluster: Array, num_clusters: int) -> tuple[Mixture, Array]:
+    """Merges clusters of components as `merge_clusters`, but keeps the total weight.
+
+    Returns:
+        The mixture with a slot for each cluster, and the share of the weight that
+        belongs to none.
+    """
+    merged = merge_clusters(mixture, cluster, num_clusters)
     before, after = total(mixture.log_weight), total(merged.log_weight)
     lost = jnp.where(before > -jnp.inf, -jnp.expm1(_difference(after, before)), 0.0)
-    kept = merged._replace(log_weight=_rescale(merged.log_weight, before))
-    return kept, jnp.maximum(lost, 0.0)
+    log_weight = merged.log_weight + _difference(before, after)
+    return merged._replace(log_weight=log_weight), jnp.maximum(lost, 0.0)
+
+
+def _weighted(weight: Array, values: Array) -> Array:
+    """Returns weighted sums of N arrays: weight [L, N], values [N, ...] -> [L, ...].
+
+    As one product of matrices, which is several times faster than summing products.
+    """
+    flat = values.reshape(len(values), -1)
+    summed = jnp.matmul(weight, flat, precision=jax.lax.Precision.HIGHEST)
+    return summed.reshape(len(weight), *values.shape[1:])
+
+
+def _outer(spread: Array) -> Array:
+    """Returns the squares of N vectors, [N, D] -> [N, D, D]."""
+    return spread[:, :, None] * spread[:, None, :]
+
+
+def _inverse_factor(cov: Array) -> Array:
+    """Returns the inverse of the lower Cholesky factor of a covariance [D, D]."""
+    lower = linalg.cholesky(cov)
+    return linalg.solve_lower(lower, jnp.eye(len(cov), dtype=lower.dtype))
 
 
 def _pad(mixture: Mixture, extra: int) -> Mixture:

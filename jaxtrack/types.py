@@ -62,7 +62,7 @@ class Scan(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: ten functions.
+    """The belief about one target, as a tracker sees it: eleven functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -72,15 +72,17 @@ class Target(NamedTuple):
         begin: (params, prior: Gaussian, mode_prob[M], key) -> belief. A newborn.
         predict: (params, belief, interval) -> (belief, log_prob). It survived.
         miss: (params, belief) -> (belief, log_prob). It is there and was not detected.
-        score: (params, belief, detections[K, Z]) -> log_prob[K]. It was detected, here;
+        look: (params, belief) -> view. The belief as the sensor sees it: all that
+            scoring and correcting need and no detection changes, worked out once.
+        score: (params, view, detections[K, Z]) -> log_prob[K]. It was detected, here;
             the probability of detection is inside.
-        correct: (params, belief, detection[Z]) -> belief. Given such a detection.
+        correct: (params, view, detection[Z]) -> belief. Given such a detection.
         collapse: (log_weight[N], beliefs[N, ...]) -> belief. One for a weighted many;
             the weights need not be normalised, -inf marks an empty slot, and if all
             are empty the first belief comes back.
-        absorb: (params, log_weight[N], beliefs[N, ...], detection[Z]) -> belief. One
-            for a weighted many that claim the detection: each corrected, then all
-            collapsed, but only what survives the collapse need be corrected.
+        absorb: (params, log_weight[N], views[N, ...], detection[Z]) -> belief. One for
+            a weighted many that claim the detection: each corrected, then all
+            collapsed.
         moments: (belief) -> Gaussian. Mean and covariance over all modes.
         modes: (belief) -> mode_prob[M]. One if there is a single mode.
         lost: (belief) -> scalar. Share of the belief's mass that its capacities threw
@@ -90,6 +92,7 @@ class Target(NamedTuple):
     begin: Callable[..., PyTree]
     predict: Callable[..., tuple[PyTree, Array]]
     miss: Callable[..., tuple[PyTree, Array]]
+    look: Callable[..., PyTree]
     score: Callable[..., Array]
     correct: Callable[..., PyTree]
     collapse: Callable[..., PyTree]

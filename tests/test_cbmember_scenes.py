@@ -84,6 +84,7 @@ def test_an_unexplained_detection_starts_a_track():
         ({"max_tracks": 0}, "max_tracks is 0; give at least 1"),
         ({"max_births": 0}, "max_births is 0"),
         ({"max_parents": 0}, "max_parents is 0"),
+        ({"max_updated": 0}, "max_updated is 0"),
         ({"prune_threshold": 1.0}, "prune_threshold is 1.0"),
         ({"report_threshold": -0.1}, "report_threshold is -0.1"),
     ],

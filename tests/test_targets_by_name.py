@@ -49,8 +49,9 @@ def live(target):
         detection, seen = seen_here
         moved, log_survive = target.predict(params, belief, value(0.75))
         missed, log_miss = target.miss(params, moved)
-        score = target.score(params, moved, detection[None])[0]
-        hit = target.correct(params, moved, detection)
+        view = target.look(params, moved)
+        score = target.score(params, view, detection[None])[0]
+        hit = target.correct(params, view, detection)
         after = jax.tree.map(lambda x, y: jnp.where(seen, x, y), hit, missed)
         chances = jnp.exp(log_survive), jnp.exp(jnp.where(seen, score, log_miss))
         row = (*chances, target.modes(after), *target.moments(after))

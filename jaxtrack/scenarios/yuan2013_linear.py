@@ -41,6 +41,7 @@ TURN_RATES = (0.0, math.pi / 30, -math.pi / 30, math.pi / 20, math.pi / 15)
 STRAIGHT_STD, TURNING_STD = 0.1, 0.2  # m/s^2
 STAY_PROB = 0.6
 SENSOR_STD = 8.0  # metres
+ENOUGH = {"max_parents": 5, "max_updated": 8}  # more would lose less than 1e-4 targets
 
 PUBLISHED = {
     "gm-mm-cbmember": {20: 22.6, 40: 27.7, 60: 34.1, 80: 40.6, 100: 46.7},
@@ -87,8 +88,8 @@ def make(
     tracker = functools.partial(
         cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
     )
-    gaussians = tracker(mixture.mixture(max_components))
-    bank = tracker(imm.imm())
+    gaussians = tracker(mixture.mixture(max_components), **ENOUGH)
+    bank = tracker(imm.imm(), **ENOUGH)
     truth = yuan2013.truth()
     return Scenario(
         name="yuan2013-linear",

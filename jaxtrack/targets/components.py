@@ -12,6 +12,7 @@ Reference: Pasha, Vo, Tuan and Ma, "A Gaussian mixture PHD filter for jump Marko
 models", IEEE Trans. Aerospace and Electronic Systems 45(3), 2009.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -43,7 +44,6 @@ class Reduction(NamedTuple):
     max_components: int
     prune_threshold: float
     merge_threshold: float
-    max_candidates: int
 
 
 def check(reduction: Reduction) -> None:
@@ -51,11 +51,6 @@ def check(reduction: Reduction) -> None:
     if reduction.max_components < 1:
         raise ValueError(
             f"max_components is {reduction.max_components}; a mode needs at least 1"
-        )
-    if reduction.max_candidates < reduction.max_components:
-        raise ValueError(
-            f"max_candidates is {reduction.max_candidates}; give at least "
-            f"max_components, {reduction.max_components}"
         )
     if not 0 <= reduction.prune_threshold < 1:
         raise ValueError(
@@ -115,21 +110,60 @@ def reduce(reduction: Reduction, log_weight: Array, mean: Array, cov: Array) -> 
     Args:
         reduction: How many stay.
         log_weight: Weights that sum to one over all modes, [M, C].
-        mean: [M, C, D], or [C, D] where the modes share the components.
-        cov: [M, C, D, D] or [C, D, D].
+        mean: [M, C, D].
+        cov: [M, C, D, D].
 
     Returns:
         The belief, with the share that found no room in `lost`.
     """
-    size, threshold = reduction.max_components, reduction.merge_threshold
+    pruned = _prune(reduction, log_weight)
+    modes = Mixture(pruned, mean, cov)
+    cluster = jax.vmap(functools.partial(_clusters, reduction))(modes)
+    return _join(reduction, modes, cluster, 0)
+
+
+def mix(reduction: Reduction, log_weight: Array, mean: Array, cov: Array) -> Belief:
+    """Reduces components that all modes share, with a weight for each mode.
+
+    They are clustered once, by their weight over all modes, and each mode merges the
+    clusters by its own weights: its N components are those of N common clusters.
+
+    Args:
+        reduction: How many stay.
+        log_weight: Weights that sum to one over all modes, [M, C].
+        mean: [C, D].
+        cov: [C, D, D].
+
+    Returns:
+        As `reduce`.
+    """
+    pruned = _prune(reduction, log_weight)
+    everywhere = jax.vmap(mixture.total, 1)(pruned)
+    cluster = _clusters(reduction, Mixture(everywhere, mean, cov))
+    return _join(reduction, Mixture(pruned, mean, cov), cluster, None)
+
+
+def _prune(reduction: Reduction, log_weight: Array) -> Array:
     heavy = jnp.exp(log_weight) >= reduction.prune_threshold
     pruned = jnp.where(heavy, log_weight, -jnp.inf)
-    pruned = mixture.log_normalise(pruned.ravel()).reshape(pruned.shape)
+    return mixture.log_normalise(pruned.ravel()).reshape(pruned.shape)
 
-    def in_mode(log_weight: Array, mean: Array, cov: Array) -> tuple[Mixture, Array]:
-        return mixture.reduce(Mixture(log_weight, mean, cov), size, 0.0, threshold)
 
-    shared = None if mean.ndim == 2 else 0
-    kept, lost = jax.vmap(in_mode, (0, shared, shared))(pruned, mean, cov)
+def _clusters(reduction: Reduction, some: Mixture) -> Array:
+    size, threshold = reduction.max_components, reduction.merge_threshold
+    return mixture.clusters(some, threshold, size)
+
+
+def _join(
+    reduction: Reduction, modes: Mixture, cluster: Array, axis: int | None
+) -> Belief:
+    """Merges clusters mode by mode; with axis None the modes share all but weights."""
+
+    def in_mode(log_weight: Array, *rest: Array) -> tuple[Mixture, Array]:
+        *moments, cluster = rest
+        some = Mixture(log_weight, *moments)
+        return mixture.join(some, cluster, reduction.max_components)
+
+    kept, lost = jax.vmap(in_mode, (0, axis, axis, axis))(*modes, cluster)
     weight = jnp.exp(jax.vmap(mixture.total)(kept.log_weight))
     return Belief(*kept, lost=(weight * lost).sum())

@@ -33,11 +33,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import imm as bank_of_modes
-from jaxtrack import kalman, linearize, mixture
+from jaxtrack import linearize, mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.models.sensor import untimed
-from jaxtrack.targets import verbs
-from jaxtrack.types import Affine, Array, Gaussian, Mixture, Target
+from jaxtrack.targets import verbs, views
+from jaxtrack.types import Array, Gaussian, Mixture, Target
 
 
 class Params(NamedTuple):
@@ -63,6 +62,18 @@ class Params(NamedTuple):
         return self.motions[0]
 
 
+class View(NamedTuple):
+    """A bank as the sensor sees it.
+
+    Attributes:
+        log_weight: Of each mode, times its probability of detection, [M].
+        modes: [M].
+    """
+
+    log_weight: Array
+    modes: views.View
+
+
 @functools.cache
 def imm(method: linearize.Method = linearize.taylor) -> Target:
     """Makes a target whose belief is a `Mixture` with one component per mode.
@@ -76,6 +87,7 @@ def imm(method: linearize.Method = linearize.taylor) -> Target:
         begin=_begin,
         predict=functools.partial(_predict, method),
         miss=_miss,
+        look=functools.partial(_look, method),
         score=functools.partial(_score, method),
         correct=correct,
         collapse=_collapse,
@@ -117,36 +129,27 @@ def _miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:
     return _normalised(missed), mixture.total(missed.log_weight)
 
 
-def _score(
-    method: linearize.Method, params: Params, bank: Mixture, detections: Array
-) -> Array:
+def _look(method: linearize.Method, params: Params, bank: Mixture) -> View:
     log_detect = safe_log(_prob(params.detect, bank))
+    look = functools.partial(views.look, method, params)
+    modes = jax.vmap(look)(Gaussian(bank.mean, bank.cov))
+    return View(bank.log_weight + log_detect, modes)
 
-    def one(detection: Array) -> Array:
-        sensor, plain = untimed(params.sensor, detection)
 
-        def in_mode(belief: Gaussian) -> Array:
-            affine = linearize.sensor_affine(sensor, params.layout, belief, method)
-            return kalman.log_density(belief, affine, plain, sensor.residual)
-
-        log_density = jax.vmap(in_mode)(Gaussian(bank.mean, bank.cov))
-        return mixture.total(bank.log_weight + log_detect + log_density)
-
-    return jax.vmap(one)(detections)
+def _score(
+    method: linearize.Method, params: Params, view: View, detections: Array
+) -> Array:
+    score = functools.partial(views.score, method, params)
+    log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
+    return jax.vmap(mixture.total, 1)(view.log_weight[:, None] + log_density)
 
 
 def _correct(
-    method: linearize.Method, params: Params, bank: Mixture, detection: Array
+    method: linearize.Method, params: Params, view: View, detection: Array
 ) -> Mixture:
-    sensor, plain = untimed(params.sensor, detection)
-
-    def in_mode(belief: Gaussian) -> Affine:
-        return linearize.sensor_affine(sensor, params.layout, belief, method)
-
-    sensors = jax.vmap(in_mode)(Gaussian(bank.mean, bank.cov))
-    log_detect = safe_log(_prob(params.detect, bank))
-    detected = bank._replace(log_weight=bank.log_weight + log_detect)
-    return bank_of_modes.update(detected, sensors, plain, sensor.residual)[0]
+    correct = functools.partial(views.correct, method, params)
+    moved, log_density = jax.vmap(correct, (0, None))(view.modes, detection)
+    return _normalised(Mixture(view.log_weight + log_density, moved.mean, moved.cov))
 
 
 def _collapse(log_weight: Array, banks: Mixture) -> Mixture:

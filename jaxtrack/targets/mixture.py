@@ -30,7 +30,7 @@ IEEE Trans. Aerospace and Electronic Systems 45(3), 2009.
 """
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,12 +38,25 @@ import jax.numpy as jnp
 from jaxtrack import kalman, linearize
 from jaxtrack import mixture as gaussians
 from jaxtrack.linalg import safe_log
-from jaxtrack.models.sensor import untimed
-from jaxtrack.targets import components
+from jaxtrack.targets import components, verbs, views
 from jaxtrack.targets.imm import Params
-from jaxtrack.types import Affine, Array, Gaussian, Mixture, Target
+from jaxtrack.types import Array, Gaussian, Target
 
 __all__ = ["Params", "mixture"]
+
+
+class View(NamedTuple):
+    """A belief as the sensor sees it.
+
+    Attributes:
+        log_weight: Of each component, times its probability of detection, [M, N].
+        parts: [M, N].
+        lost: As in the belief.
+    """
+
+    log_weight: Array
+    parts: views.View
+    lost: Array
 
 
 @functools.cache
@@ -51,7 +64,6 @@ def mixture(
     max_components: int = 10,
     prune_threshold: float = 1e-5,
     merge_threshold: float = 4.0,
-    max_candidates: int | None = None,
     method: linearize.Method = linearize.taylor,
 ) -> Target:
     """Makes a target whose belief is a jump Markov Gaussian mixture.
@@ -60,27 +72,25 @@ def mixture(
         max_components: Components that each mode keeps.
         prune_threshold: Components with a smaller share of the whole weight go.
         merge_threshold: Squared Mahalanobis distance within which components merge.
-        max_candidates: Components of a mode that `absorb` corrects and merges, the
-            heaviest; by default three times `max_components`.
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
 
     Raises:
         ValueError: A size or threshold that makes no sense.
     """
-    candidates = 3 * max_components if max_candidates is None else max_candidates
-    reduction = components.Reduction(
-        max_components, prune_threshold, merge_threshold, candidates
-    )
+    reduction = components.Reduction(max_components, prune_threshold, merge_threshold)
     components.check(reduction)
+    correct = functools.partial(_correct, method)
+    collapse = functools.partial(components.collapse, reduction)
     return Target(
         begin=functools.partial(_begin, reduction),
         predict=functools.partial(_predict, reduction, method),
         miss=_miss,
+        look=functools.partial(_look, method),
         score=functools.partial(_score, method),
-        correct=functools.partial(_correct, method),
-        collapse=functools.partial(components.collapse, reduction),
-        absorb=functools.partial(_absorb, reduction, method),
+        correct=correct,
+        collapse=collapse,
+        absorb=verbs.absorb(correct, collapse),
         moments=components.moments,
         modes=lambda belief: gaussians.normalise(
             jax.vmap(gaussians.total)(belief.log_weight)
@@ -121,22 +131,23 @@ def _predict(
     # Equation 32: component (i, j) enters mode n with weight h(n | i) w(i, j).
     log_transition = params.switching.log_transition(interval)  # [left, entered]
     log_weight = alive.log_weight[None] + log_transition.T[:, :, None]
-    mixed = components.reduce(
+    mixed = components.mix(
         reduction,
         gaussians.log_normalise(log_weight.ravel()).reshape(log_weight.shape[0], -1),
         *(x.reshape(-1, *x.shape[2:]) for x in (belief.mean, belief.cov)),
     )
 
-    def linearised(motion: Any, component: Gaussian) -> Affine:
-        return linearize.motion_affine(motion, component, interval, method)
+    def move(motion: Any, component: Gaussian) -> Gaussian:
+        affine = linearize.motion_affine(motion, component, interval, method)
+        return kalman.predict(component, affine)
 
-    motions = [
-        jax.vmap(functools.partial(linearised, motion))(Gaussian(mean, cov))
+    # Mode by mode, since each motion knows other zeros.
+    moved = [
+        jax.vmap(functools.partial(move, motion))(Gaussian(mean, cov))
         for motion, mean, cov in zip(params.motions, mixed.mean, mixed.cov, strict=True)
     ]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
-    moved = jax.vmap(jax.vmap(kalman.predict))(Gaussian(mixed.mean, mixed.cov), stacked)
-    return mixed._replace(mean=moved.mean, cov=moved.cov), log_survive
+    mean, cov = (jnp.stack(x) for x in zip(*moved, strict=True))
+    return mixed._replace(mean=mean, cov=cov), log_survive
 
 
 def _miss(params: Params, belief: components.Belief) -> tuple[components.Belief, Array]:
@@ -145,82 +156,36 @@ def _miss(params: Params, belief: components.Belief) -> tuple[components.Belief,
     return components.normalised(missed), gaussians.total(missed.log_weight.ravel())
 
 
-def _score(
-    method: linearize.Method,
-    params: Params,
-    belief: components.Belief,
-    detections: Array,
-) -> Array:
-    weigh = functools.partial(_weigh, method, params, belief)
-    return jax.vmap(lambda z: gaussians.total(weigh(z).ravel()))(detections)
-
-
-def _weigh(
-    method: linearize.Method,
-    params: Params,
-    belief: components.Belief,
-    detection: Array,
-) -> Array:
-    """Returns each component's log-weight times its likelihood of the detection."""
-    sensor, plain = untimed(params.sensor, detection)
-
-    def in_component(component: Gaussian) -> Array:
-        affine = linearize.sensor_affine(sensor, params.layout, component, method)
-        return kalman.log_density(component, affine, plain, sensor.residual)
-
-    log_density = jax.vmap(jax.vmap(in_component))(Gaussian(belief.mean, belief.cov))
+def _look(method: linearize.Method, params: Params, belief: components.Belief) -> View:
     log_detect = safe_log(_prob(params.detect, belief))
-    return belief.log_weight + log_detect + log_density
+    look = functools.partial(views.look, method, params)
+    parts = jax.vmap(jax.vmap(look))(Gaussian(belief.mean, belief.cov))
+    return View(belief.log_weight + log_detect, parts, belief.lost)
+
+
+def _score(
+    method: linearize.Method, params: Params, view: View, detections: Array
+) -> Array:
+    score = functools.partial(views.score, method, params)
+    log_density = jax.vmap(jax.vmap(score, (0, None)), (0, None))(
+        view.parts, detections
+    )
+    weighed = view.log_weight[:, :, None] + log_density
+    flat = weighed.reshape(-1, len(detections))
+    return jax.vmap(gaussians.total, 1)(flat)
 
 
 def _correct(
-    method: linearize.Method,
-    params: Params,
-    belief: components.Belief,
-    detection: Array,
+    method: linearize.Method, params: Params, view: View, detection: Array
 ) -> components.Belief:
-    weighed = _weigh(method, params, belief, detection)
-    mean, cov = _condition(method, params, Gaussian(belief.mean, belief.cov), detection)
-    return components.normalised(components.Belief(weighed, mean, cov, belief.lost))
-
-
-def _condition(
-    method: linearize.Method, params: Params, prior: Gaussian, detection: Array
-) -> Gaussian:
-    """Conditions Gaussians [M, N] on a detection, each for itself."""
-    sensor, plain = untimed(params.sensor, detection)
-
-    def in_component(component: Gaussian) -> Gaussian:
-        affine = linearize.sensor_affine(sensor, params.layout, component, method)
-        return kalman.update(component, affine, plain, sensor.residual)[0]
-
-    return jax.vmap(jax.vmap(in_component))(prior)
-
-
-def _absorb(
-    reduction: components.Reduction,
-    method: linearize.Method,
-    params: Params,
-    log_weight: Array,
-    beliefs: components.Belief,
-    detection: Array,
-) -> components.Belief:
-    """Collapses the corrected beliefs; only the heaviest components are corrected."""
-    weigh = functools.partial(_weigh, method, params)
-    weighed = jax.vmap(weigh, (0, None))(beliefs, detection)
-    posterior = jax.vmap(components.normalised)(beliefs._replace(log_weight=weighed))
-    share, pooled = components.pool(log_weight, posterior)
-
-    def candidates(log_weight: Array, mean: Array, cov: Array) -> tuple[Mixture, Array]:
-        size = min(reduction.max_candidates, log_weight.size)
-        return gaussians.cap(Mixture(log_weight, mean, cov), size)
-
-    chosen, left = jax.vmap(candidates)(*pooled)
-    mode_prob = jnp.exp(jax.vmap(gaussians.total)(pooled.log_weight))
-    mean, cov = _condition(method, params, Gaussian(chosen.mean, chosen.cov), detection)
-    reduced = components.reduce(reduction, chosen.log_weight, mean, cov)
-    earlier = (share * beliefs.lost).sum() + (mode_prob * left).sum()
-    return components.lose(reduced, earlier)
+    correct = functools.partial(views.correct, method, params)
+    moved, log_density = jax.vmap(jax.vmap(correct, (0, None)), (0, None))(
+        view.parts, detection
+    )
+    weighed = view.log_weight + log_density
+    return components.normalised(
+        components.Belief(weighed, moved.mean, moved.cov, view.lost)
+    )
 
 
 def _prob(

@@ -25,13 +25,11 @@ detection that depend on the state are taken at the mean.
 import functools
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from jaxtrack import kalman, linearize, mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.models.sensor import untimed
-from jaxtrack.targets import verbs
+from jaxtrack.targets import verbs, views
 from jaxtrack.types import Array, Gaussian, Mixture, Target
 
 
@@ -69,6 +67,7 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         begin=_begin,
         predict=functools.partial(_predict, method),
         miss=_miss,
+        look=functools.partial(views.look, method),
         score=functools.partial(_score, method),
         correct=correct,
         collapse=_collapse,
@@ -97,22 +96,16 @@ def _miss(params: Params, belief: Gaussian) -> tuple[Gaussian, Array]:
 
 
 def _score(
-    method: linearize.Method, params: Params, belief: Gaussian, detections: Array
+    method: linearize.Method, params: Params, view: views.View, detections: Array
 ) -> Array:
-    def one(detection: Array) -> Array:
-        sensor, plain = untimed(params.sensor, detection)
-        affine = linearize.sensor_affine(sensor, params.motion, belief, method)
-        return kalman.log_density(belief, affine, plain, sensor.residual)
-
-    return safe_log(_detect_prob(params, belief)) + jax.vmap(one)(detections)
+    log_detect = safe_log(_detect_prob(params, view.prior))
+    return log_detect + views.score(method, params, view, detections)
 
 
 def _correct(
-    method: linearize.Method, params: Params, belief: Gaussian, detection: Array
+    method: linearize.Method, params: Params, view: views.View, detection: Array
 ) -> Gaussian:
-    sensor, plain = untimed(params.sensor, detection)
-    affine = linearize.sensor_affine(sensor, params.motion, belief, method)
-    return kalman.update(belief, affine, plain, sensor.residual)[0]
+    return views.correct(method, params, view, detection)[0]
 
 
 def _collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:

@@ -3,7 +3,7 @@
 >>> import jax.numpy as jnp
 >>> from jaxtrack.targets import verbs
 >>> absorb = verbs.absorb(
-...     correct=lambda params, belief, detection: (belief + detection) / 2,
+...     correct=lambda params, view, detection: (view + detection) / 2,
 ...     collapse=lambda log_weight, beliefs: jnp.exp(log_weight) @ beliefs)
 >>> print(absorb(None, jnp.log(jnp.array([0.5, 0.5])), jnp.array([0.0, 4.0]), 6.0))
 4.0
@@ -23,9 +23,9 @@ def absorb(
     """Makes the verb `absorb` of a target from its `correct` and `collapse`."""
 
     def absorb(
-        params: Any, log_weight: Array, beliefs: PyTree, detection: Array
+        params: Any, log_weight: Array, views: PyTree, detection: Array
     ) -> PyTree:
-        corrected = jax.vmap(correct, (None, 0, None))(params, beliefs, detection)
+        corrected = jax.vmap(correct, (None, 0, None))(params, views, detection)
         return collapse(log_weight, corrected)
 
     return absorb

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import mixture
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target
 
@@ -148,6 +149,38 @@ def begin(
 def append(tracks: Tracks, born: Tracks) -> Tracks:
     """Joins N and B tracks into N + B."""
     return jax.tree.map(lambda old, new: jnp.concatenate([old, new]), tracks, born)
+
+
+def absorb(
+    target: Target,
+    params: Any,
+    views: PyTree,
+    max_parents: int,
+    log_weight: Array,
+    detection: Array,
+) -> tuple[PyTree, Array, Array]:
+    """Makes the belief of the track that a detection updates.
+
+    Args:
+        target: How one target is filtered.
+        params: The target's `Params`.
+        views: N tracks as the sensor sees them, [N, ...].
+        max_parents: Tracks that may share in the belief, the heaviest.
+        log_weight: Share of each track, not normalised, [N].
+        detection: [Z].
+
+    Returns:
+        The belief, the slot of the heaviest track, and the share of the belief that the
+        capacities threw away.
+    """
+    heaviest, parents = jax.lax.top_k(log_weight, min(max_parents, log_weight.size))
+    some = jax.tree.map(lambda x: x[parents], views)
+    belief = target.absorb(params, heaviest, some, detection)
+    everyone = mixture.total(log_weight)
+    known = everyone > -jnp.inf
+    lost = 1 - jnp.exp(mixture.total(heaviest) - jnp.where(known, everyone, 0.0))
+    lost = jnp.where(known, lost + (1 - lost) * target.lost(belief), 0.0)
+    return belief, parents[0], lost
 
 
 def from_unexplained(

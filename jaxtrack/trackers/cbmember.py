@@ -86,6 +86,7 @@ class Settings(NamedTuple):
     max_tracks: int
     max_births: int
     max_parents: int
+    max_updated: int
     prune_threshold: float
     report_threshold: float
     merge_threshold: float
@@ -97,6 +98,7 @@ class Update(NamedTuple):
 
     Attributes:
         missed: Beliefs of the legacy tracks, [N, ...].
+        views: All tracks as the sensor sees them, [N, ...].
         legacy_prob: [N].
         updated_prob: [K].
         log_weight: Share of track n in the updated track of detection k, [N, K],
@@ -106,6 +108,7 @@ class Update(NamedTuple):
     """
 
     missed: PyTree
+    views: PyTree
     legacy_prob: Array
     updated_prob: Array
     log_weight: Array
@@ -119,6 +122,7 @@ def cbmember(
     max_tracks: int = 32,
     max_births: int = 16,
     max_parents: int = 8,
+    max_updated: int | None = None,
     prune_threshold: float = 1e-3,
     report_threshold: float = 0.5,
     merge_threshold: float = 0.0,
@@ -131,6 +135,7 @@ def cbmember(
         max_tracks: Tracks kept after a scan; the least likely go first.
         max_births: Newborn tracks of `DetectionBirth` kept after a scan.
         max_parents: Tracks that may share in one detection's updated track.
+        max_updated: Updated tracks kept after a scan; by default `max_tracks`.
         prune_threshold: Tracks that exist with less probability go.
         report_threshold: Tracks that exist with more probability are reported.
         merge_threshold: Squared Mahalanobis distance within which tracks under one
@@ -142,8 +147,10 @@ def cbmember(
     Raises:
         ValueError: A size or threshold that makes no sense.
     """
+    updated = max_tracks if max_updated is None else max_updated
     sizes = {"max_tracks": max_tracks, "max_births": max_births}
-    for name, size in {**sizes, "max_parents": max_parents}.items():
+    sizes = {**sizes, "max_parents": max_parents, "max_updated": updated}
+    for name, size in sizes.items():
         if size < 1:
             raise ValueError(f"{name} is {size}; give at least 1")
     given = prune_threshold, report_threshold, split_threshold
@@ -160,6 +167,7 @@ def cbmember(
         max_tracks,
         max_births,
         max_parents,
+        updated,
         prune_threshold,
         report_threshold,
         merge_threshold,
@@ -226,8 +234,9 @@ def _step(
 def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Update:
     """Equation 34, in logarithms."""
     missed, log_miss = jax.vmap(target.miss, (None, 0))(params.target, tracks.belief)
+    views = jax.vmap(target.look, (None, 0))(params.target, tracks.belief)
     score = jax.vmap(target.score, (None, 0, None))(
-        params.target, tracks.belief, scan.detections
+        params.target, views, scan.detections
     )
     clutter = jax.vmap(params.clutter.log_density)(scan.detections)
 
@@ -246,6 +255,7 @@ def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Updat
 
     return Update(
         missed=missed,
+        views=views,
         legacy_prob=prob * jnp.exp(log_miss) / empty_prob,
         updated_prob=(share[:-1] * absent_given_empty[:, None]).sum(0),
         log_weight=safe_log(prob / (1 - prob))[:, None] + score,
@@ -259,37 +269,31 @@ def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Updat
 def _keep(
     settings: Settings, params: Any, tracks: Tracks, scan: Scan, update: Update
 ) -> tuple[Tracks, Array]:
-    """Prunes and caps the tracks; only survivors are corrected.
+    """Prunes and caps the tracks; only the likeliest detections make updated tracks.
 
     Returns the survivors, likeliest first, and the expected number of targets that the
     capacities (not the pruning threshold) threw away.
     """
-    target, num = settings.target, tracks.label.size
-    prob = jnp.concatenate([update.legacy_prob, update.updated_prob])
-    prob = jnp.where(prob >= settings.prune_threshold, prob, 0.0)
-    size = min(settings.max_tracks, prob.size)
-    kept_prob, kept = jax.lax.top_k(prob, size)
+    target, threshold = settings.target, settings.prune_threshold
+    legacy_prob = jnp.where(update.legacy_prob >= threshold, update.legacy_prob, 0.0)
+    updated_prob = jnp.where(update.updated_prob >= threshold, update.updated_prob, 0.0)
+    most = min(settings.max_updated, updated_prob.size)
+    hit_prob, detection = jax.lax.top_k(updated_prob, most)
+    absorb = functools.partial(
+        bernoulli.absorb, target, params, update.views, settings.max_parents
+    )
+    hits, ancestor, lost = jax.vmap(absorb)(
+        update.log_weight[:, detection].T, scan.detections[detection]
+    )
 
-    def survivor(index: Array) -> tuple[PyTree, Array, Array]:
-        detection = jnp.maximum(index - num, 0)
-        log_weight, parents = jax.lax.top_k(
-            update.log_weight[:, detection], min(settings.max_parents, num)
-        )
-        before = jax.tree.map(lambda x: x[parents], tracks.belief)
-        hit = target.absorb(params, log_weight, before, scan.detections[detection])
-        everyone = mixture.total(update.log_weight[:, detection])
-        known = everyone > -jnp.inf
-        lost = 1 - jnp.exp(mixture.total(log_weight) - jnp.where(known, everyone, 0.0))
-        lost = jnp.where(known, lost + (1 - lost) * target.lost(hit), 0.0)
-
-        legacy = index < num
-        missed = jax.tree.map(lambda x: x[jnp.minimum(index, num - 1)], update.missed)
-        belief = jax.tree.map(functools.partial(jnp.where, legacy), missed, hit)
-        ancestor = jnp.where(legacy, jnp.minimum(index, num - 1), parents[0])
-        return belief, ancestor, jnp.where(legacy, target.lost(missed), lost)
-
-    belief, ancestor, lost = jax.vmap(survivor)(kept)
-    dropped = prob.sum() - kept_prob.sum() + (kept_prob * lost).sum()
+    prob = jnp.concatenate([legacy_prob, hit_prob])
+    kept_prob, kept = jax.lax.top_k(prob, min(settings.max_tracks, prob.size))
+    lost = jnp.concatenate([jax.vmap(target.lost)(update.missed), lost])
+    dropped = legacy_prob.sum() + updated_prob.sum() - kept_prob.sum()
+    dropped = dropped + (kept_prob * lost[kept]).sum()
+    survivors = bernoulli.append(
+        tracks._replace(existence_prob=legacy_prob, belief=update.missed),
+        Tracks(hit_prob, hits, tracks.label[ancestor], tracks.alias[ancestor]),
+    )
     # Nothing dropped can come out as minus one rounding.
-    names = tracks.label[ancestor], tracks.alias[ancestor]
-    return Tracks(kept_prob, belief, *names), jnp.maximum(dropped, 0.0)
+    return jax.tree.map(lambda x: x[kept], survivors), jnp.maximum(dropped, 0.0)

@@ -31,8 +31,9 @@ def story(target, inputs):
 
     late, (moved, log_survive) = jax.lax.scan(interval, born, length=2)
     missed, log_miss = target.miss(params, late)
+    view = target.look(params, late)
     corrected = jax.vmap(target.correct, (None, None, 0))(
-        params, late, inputs.detections
+        params, view, inputs.detections
     )
     few = jax.tree.map(lambda x: x[:NUM], corrected)
     return {
@@ -44,7 +45,7 @@ def story(target, inputs):
         "collapsed": target.collapse(inputs.log_weight, few),
         "log_survive": log_survive,
         "log_miss": log_miss,
-        "score": target.score(params, late, inputs.detections),
+        "score": target.score(params, view, inputs.detections),
     }
 
 

@@ -1,0 +1,128 @@
+"""How a sensor sees a Gaussian: the part of an update that no detection changes.
+
+Many detections are scored against one belief, and few of them correct it. What they
+share, the innovation covariance, the gain and the posterior covariance, is worked out
+once. Where the detections carry ages (`models.sensor.Timed`) each sees the target at
+another place, nothing is shared, and the work is done for each.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.targets import views
+    >>> from jaxtrack.types import Affine, Gaussian
+    >>> prior = Gaussian(mean=jnp.zeros(1), cov=4.0 * jnp.eye(1))
+    >>> sensor = Affine(jnp.eye(1), jnp.zeros(1), 4.0 * jnp.eye(1))
+    >>> sight = views.see(prior, sensor)
+    >>> print(sight.gain, sight.cov)
+    [[0.5]] [[2.]]
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import kalman, linalg, linearize
+from jaxtrack.models.sensor import Timed, untimed
+from jaxtrack.types import Affine, Array, Gaussian
+
+
+class Sight(NamedTuple):
+    """A Kalman update without its detection.
+
+    Attributes:
+        expected: The detection expected, [Z].
+        whitening: Inverse Cholesky factor of the innovation covariance, [Z, Z].
+        log_scale: Log-density of a detection as expected, a scalar.
+        gain: [D, Z].
+        cov: Covariance after the update, [D, D].
+    """
+
+    expected: Array
+    whitening: Any
+    log_scale: Array
+    gain: Any
+    cov: Array
+
+
+class View(NamedTuple):
+    """A Gaussian and how it is seen.
+
+    Attributes:
+        prior: mean [D], cov [D, D].
+        sight: None where each detection needs its own.
+    """
+
+    prior: Gaussian
+    sight: Sight | None
+
+
+def see(prior: Gaussian, sensor: Affine) -> Sight:
+    """Prepares the update of a belief.
+
+    Args:
+        prior: mean [D], cov [D, D].
+        sensor: matrix [Z, D], offset [Z], cov [Z, Z].
+    """
+    matrix, offset, noise = sensor
+    expected = matrix @ prior.mean + offset
+    lower = linalg.cholesky(linalg.congruence(matrix, prior.cov) + noise)
+    identity = jnp.eye(expected.size, dtype=expected.dtype)
+    posterior, log_scale = kalman.update(prior, sensor, expected)
+    return Sight(
+        expected=expected,
+        whitening=linalg.solve_lower(lower, identity),
+        log_scale=log_scale,
+        gain=linalg.solve(lower, linalg.product(matrix, prior.cov)).T,
+        cov=posterior.cov,
+    )
+
+
+def look(method: linearize.Method, params: Any, prior: Gaussian) -> View:
+    """Looks at a belief through a target's sensor.
+
+    Args:
+        method: Of `linearize`; idle where the sensor is linear.
+        params: A target's `Params`, with its `sensor` and `layout`.
+        prior: mean [D], cov [D, D].
+    """
+    if isinstance(params.sensor, Timed):
+        return View(prior, None)
+    affine = linearize.sensor_affine(params.sensor, params.layout, prior, method)
+    return View(prior, see(prior, affine))
+
+
+def score(
+    method: linearize.Method, params: Any, view: View, detections: Array
+) -> Array:
+    """Returns the log-densities of detections [K, Z], [K]."""
+
+    def one(detection: Array) -> Array:
+        sight, surprise = _meet(method, params, view, detection)
+        return _log_density(sight, surprise)
+
+    return jax.vmap(one)(detections)
+
+
+def correct(
+    method: linearize.Method, params: Any, view: View, detection: Array
+) -> tuple[Gaussian, Array]:
+    """Conditions a belief on a detection [Z]; returns its log-density, too."""
+    sight, surprise = _meet(method, params, view, detection)
+    mean = view.prior.mean + sight.gain @ surprise
+    return Gaussian(mean, sight.cov), _log_density(sight, surprise)
+
+
+def _meet(
+    method: linearize.Method, params: Any, view: View, detection: Array
+) -> tuple[Sight, Array]:
+    """Returns how a detection is seen, and how far it is from what was expected."""
+    sensor, plain = untimed(params.sensor, detection)
+    sight = view.sight
+    if sight is None:
+        affine = linearize.sensor_affine(sensor, params.layout, view.prior, method)
+        sight = see(view.prior, affine)
+    return sight, sensor.residual(plain, sight.expected)
+
+
+def _log_density(sight: Sight, surprise: Array) -> Array:
+    white = sight.whitening @ surprise
+    return sight.log_scale - (white * white).sum() / 2
