@@ -35,6 +35,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.entries import dense, flat
 from jaxtrack.types import Affine, Array, Gaussian
 
 
@@ -63,9 +64,11 @@ def predict(belief: Gaussian, motion: Affine) -> Gaussian:
     Returns:
         The predicted belief, mean [D], cov [D, D].
     """
-    matrix, offset, noise = motion
-    mean = matrix @ belief.mean + offset
-    return Gaussian(mean, linalg.congruence(matrix, belief.cov) + noise)
+    matrix, noise = linalg.entries(motion.matrix), linalg.symmetric(motion.cov)
+    mean, cov = linalg.column(belief.mean), linalg.symmetric(belief.cov)
+    moved = matrix @ mean + linalg.column(motion.offset)
+    spread = linalg.congruence(matrix, cov) + noise
+    return Gaussian(flat(moved), dense(linalg.settle(spread)))
 
 
 def update(
@@ -76,10 +79,11 @@ def update(
 ) -> tuple[Gaussian, Array]:
     """Conditions a belief on one detection.
 
-    The covariance is in Joseph form, a sum of two positive semi-definite terms, so
-    that float32 rounding of the gain cannot make it indefinite. (A predicted covariance
-    that is singular to rounding still can, as after a first detection 1e7 times more
-    precise than where the prior's velocity leads; then compute in float64.)
+    With S = L L' the covariance of the detection it is mean + W' L^-1 (z - H m) and
+    P - W' W, W = L^-1 H P. What rounding can take from P is added beforehand
+    (`linalg.loosen`), so that float32 cannot make it indefinite. (A predicted
+    covariance that is singular to rounding still can, as after a first detection 1e7
+    times more precise than where the prior's velocity leads; then use float64.)
 
     Args:
         belief: mean [D], cov [D, D].
@@ -90,20 +94,17 @@ def update(
     Returns:
         The posterior belief, and the log-density of the detection (a scalar).
     """
-    matrix, offset, noise = sensor
-    chex.assert_shape(detection, offset.shape)
+    chex.assert_shape(detection, sensor.offset.shape)
+    matrix, noise = linalg.entries(sensor.matrix), linalg.symmetric(sensor.cov)
+    mean, cov = linalg.column(belief.mean), linalg.symmetric(belief.cov)
 
-    surprise = residual(detection, matrix @ belief.mean + offset)
-    cross = linalg.product(matrix, belief.cov)  # [Z, D]
-    spread = linalg.symmetrize(linalg.product(cross, matrix.T)) + noise
-    lower = linalg.cholesky(spread)
-    gain = linalg.solve(lower, cross).T
-    identity = jnp.eye(belief.mean.size, dtype=belief.cov.dtype)
-    keep = identity - linalg.product(gain, matrix)
-
-    mean = belief.mean + gain @ surprise
-    cov = linalg.congruence(keep, belief.cov) + linalg.congruence(gain, noise)
-    return Gaussian(mean, cov), linalg.log_normal(surprise, lower)
+    surprise = residual(detection, flat(matrix @ mean) + sensor.offset)
+    lower = linalg.cholesky(linalg.congruence(matrix, cov) + noise)
+    seen = linalg.solve_lower(lower, matrix @ cov)  # [Z, D]
+    white = linalg.solve_lower(lower, linalg.column(surprise))
+    mean = mean + seen.T @ white
+    cov = linalg.triangle(linalg.loosen(cov) - seen.T @ seen)
+    return Gaussian(flat(mean), dense(cov)), linalg.log_white(white, lower)
 
 
 def log_density(
@@ -113,18 +114,20 @@ def log_density(
     residual: Callable[[Array, Array], Array] = jnp.subtract,
 ) -> Array:
     """Returns the log-density of a detection, as `update` does, without updating."""
-    matrix, offset, noise = sensor
-    chex.assert_shape(detection, offset.shape)
-    surprise = residual(detection, matrix @ belief.mean + offset)
-    lower = linalg.cholesky(linalg.congruence(matrix, belief.cov) + noise)
+    chex.assert_shape(detection, sensor.offset.shape)
+    matrix, noise = linalg.entries(sensor.matrix), linalg.symmetric(sensor.cov)
+    mean, cov = linalg.column(belief.mean), linalg.symmetric(belief.cov)
+    surprise = residual(detection, flat(matrix @ mean) + sensor.offset)
+    lower = linalg.cholesky(linalg.congruence(matrix, cov) + noise)
     return linalg.log_normal(surprise, lower)
 
 
 def blind(sensor: Affine, detection: Array, detected: Array) -> tuple[Affine, Array]:
     """Makes a sensor see nothing in a scan without detection.
 
-    An update with what comes back then leaves the belief as it is, with finite
-    gradients, even if the arguments held NaN.
+    An update with what comes back has finite values and gradients, even if the
+    arguments held NaN. If the matrix was an array it leaves the belief as it is, but
+    for rounding; a `Matrix` keeps the entries that are known.
 
     Args:
         sensor: matrix [Z, D], offset [Z], cov [Z, Z].
@@ -137,9 +140,9 @@ def blind(sensor: Affine, detection: Array, detected: Array) -> tuple[Affine, Ar
     """
     unit = jnp.eye(detection.size, dtype=sensor.cov.dtype)
     blinded = Affine(
-        matrix=jnp.where(detected, sensor.matrix, 0.0),
+        matrix=jax.tree.map(lambda x: jnp.where(detected, x, 0.0), sensor.matrix),
         offset=jnp.where(detected, sensor.offset, 0.0),
-        cov=jnp.where(detected, sensor.cov, unit),
+        cov=jnp.where(detected, dense(sensor.cov), unit),
     )
     return blinded, jnp.where(detected, detection, 0.0)
 
@@ -170,15 +173,18 @@ def filter(
     """
     num_scans, num_outputs = detections.shape
     dim = prior.mean.size
-    chex.assert_shape(motions.matrix, (num_scans, dim, dim))
-    chex.assert_shape(sensors.matrix, (num_scans, num_outputs, dim))
+    chex.assert_shape(motions.offset, (num_scans, dim))
+    chex.assert_shape(sensors.offset, (num_scans, num_outputs))
     chex.assert_shape(detected, (num_scans,))
 
     def step(belief: Gaussian, scan: tuple) -> tuple[Gaussian, Filtered]:
         motion, sensor, detection, seen = scan
         predicted = predict(belief, motion)
-        belief, log_density = update(predicted, *blind(sensor, detection, seen))
-        log_density = jnp.where(seen, log_density, 0.0)
+        updated = update(predicted, *blind(sensor, detection, seen))
+        missed = predicted, jnp.zeros_like(updated[1])
+        belief, log_density = jax.tree.map(
+            lambda hit, miss: jnp.where(seen, hit, miss), updated, missed
+        )
         return belief, Filtered(predicted, belief, log_density)
 
     scans = (motions, sensors, detections, detected)
@@ -202,7 +208,7 @@ def turn_back(
     Returns:
         The gain [D, D], and the covariance that is left [D, D].
     """
-    matrix, _, noise = motion
+    matrix, noise = dense(motion.matrix), dense(motion.cov)
     lower = linalg.cholesky(predicted.cov)
     gain = linalg.solve(lower, linalg.product(matrix, filtered.cov)).T
     keep = jnp.eye(len(gain), dtype=gain.dtype) - linalg.product(gain, matrix)

@@ -1,9 +1,10 @@
 """Small dense algebra shared by the filters.
 
-Matrices with up to `UNROLL` rows are written out, with real divisions, so that XLA
-fuses them over any batch that `vmap` adds; larger ones go to `jax.numpy`. What should
-be symmetric is averaged with its transpose: an antisymmetric part cannot build up, in
-values (to the last bits) or in gradients.
+Matrices with up to `UNROLL` rows and columns are written out entry by entry, with real
+divisions, so that XLA fuses them over any batch that `vmap` adds; larger ones go to
+`jax.numpy`. The functions take arrays and `entries.Matrix`: of arrays they make an
+array, otherwise a `Matrix`. What is symmetric is computed as one triangle: an
+antisymmetric part cannot build up, in values or in gradients.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack import linalg
@@ -20,27 +21,17 @@ import chex
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 
+from jaxtrack.entries import Matrix, dense, dot, flat, minus, over, plus, split
+from jaxtrack.entries import column as one_column
+from jaxtrack.entries import symmetric as one_triangle
 from jaxtrack.types import Array
 
-UNROLL = 6  # rows; beyond this the written-out form costs more to compile than it saves
+UNROLL = 6  # beyond this the written-out form costs more to compile than it saves
 
 
 def rows(entries: Sequence[Sequence[Any]]) -> Array:
-    """Builds a matrix from rows of scalars.
-
-    Models write their matrices through this one function, so that the zeros and ones
-    they know stay visible in one place.
-
-    Args:
-        entries: Rows of equal length, of Python numbers or scalar arrays.
-
-    Returns:
-        The matrix, [rows, columns].
-    """
-    dtype = jnp.result_type(float, *(x for row in entries for x in row))
-    return jnp.stack(
-        [jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in entries]
-    )
+    """Builds an array [rows, columns] from rows of Python numbers and scalars."""
+    return dense(Matrix(entries))
 
 
 def floating(value: Any) -> Array:
@@ -55,73 +46,136 @@ def safe_log(value: Array) -> Array:
     return jnp.where(positive, jnp.log(jnp.where(positive, value, 1.0)), -jnp.inf)
 
 
+def entries(matrix: Array | Matrix) -> Any:
+    """Returns a small matrix as a `Matrix`, a large one as an array."""
+    if _large(matrix):
+        return dense(matrix)
+    return matrix if isinstance(matrix, Matrix) else split(matrix)
+
+
+def symmetric(matrix: Array | Matrix) -> Any:
+    """Returns the mean of a small square matrix and its transpose as a `Matrix`.
+
+    A large one comes back as an array.
+    """
+    if _large(matrix):
+        return symmetrize(dense(matrix))
+    apart = entries(matrix).rows
+
+    def mean(i: int, j: int) -> Any:
+        one, other = apart[i][j], apart[j][i]
+        return one if one is other else plus(one, other) / 2
+
+    return one_triangle(mean, len(apart))
+
+
+def triangle(matrix: Array | Matrix) -> Any:
+    """Returns what is symmetric but for rounding by its upper triangle, as `symmetric`.
+
+    The lower one is not even computed; a large matrix is averaged.
+    """
+    if _large(matrix):
+        return symmetrize(dense(matrix))
+    apart = entries(matrix).rows
+    return one_triangle(lambda i, j: apart[i][j], len(apart))
+
+
+def column(vector: Array) -> Any:
+    """Returns a small vector [D] as a `Matrix` [D, 1], a large one as an array."""
+    return one_column(vector) if vector.shape[-1] <= UNROLL else vector[..., None]
+
+
 def symmetrize(matrix: Array) -> Array:
     """Returns the mean of a square matrix [D, D] and its transpose."""
     return (matrix + matrix.T) / 2
 
 
-def product(left: Array, right: Array) -> Array:
+def settle(matrix: Array | Matrix) -> Any:
+    """Returns a small matrix unchanged, computed once and not in each of its uses."""
+    if not isinstance(matrix, Matrix):
+        return matrix
+    entry = {id(x): x for row in matrix.rows for x in row}
+    done = {name: once(x) for name, x in entry.items()}
+    return Matrix([done[id(x)] for x in row] for row in matrix.rows)
+
+
+def once(value: Any) -> Any:
+    """Returns a value unchanged, computed once and not in each of its uses.
+
+    XLA on CPU copies cheap operations into every consumer, but not a division; so this
+    divides by a one that is not known before the program runs.
+    """
+    if isinstance(value, int | float):
+        return value
+    return value / jnp.where(value == value, 1.0, 2.0).astype(value.dtype)
+
+
+def loosen(cov: Array | Matrix) -> Any:
+    """Widens a covariance [D, D] by what rounding can take from it.
+
+    So that cov - W.T @ W stays positive definite where it should be: D units in the
+    last place of each variance, twice.
+    """
+    size = cov.shape[0]
+    factor = 1 + 2 * size * jnp.finfo(cov.dtype).eps
+    if not isinstance(cov, Matrix):
+        return cov + jnp.diag((factor - 1) * jnp.diagonal(cov))
+    wider = [
+        [x * factor if i == j else x for j, x in enumerate(row)]
+        for i, row in enumerate(cov.rows)
+    ]
+    return Matrix(wider)
+
+
+def product(left: Array | Matrix, right: Array | Matrix) -> Any:
     """Returns left [A, B] @ right [B, C]."""
-    inner = left.shape[1]
-    chex.assert_shape(right, (inner, None))
-    if max(*left.shape, *right.shape) > UNROLL:
-        return left @ right
-    terms = [left[:, k, None] * right[None, k] for k in range(inner)]
-    return sum(terms[1:], start=terms[0])
+    chex.assert_shape(right, (left.shape[1], None))
+    if _large(left, right):
+        return dense(left) @ dense(right)
+    return _like(entries(left) @ entries(right), left, right)
 
 
-def congruence(matrix: Array, cov: Array) -> Array:
+def congruence(matrix: Array | Matrix, cov: Array | Matrix) -> Any:
     """Returns matrix [Z, D] @ cov [D, D] @ matrix.T, symmetric by construction."""
-    return symmetrize(product(product(matrix, cov), matrix.T))
+    if _large(matrix, cov):
+        return symmetrize(dense(matrix) @ symmetrize(dense(cov)) @ dense(matrix).T)
+    outer = entries(matrix)
+    half = (outer @ symmetric(cov)).rows
+    result = one_triangle(lambda i, j: dot(half[i], outer.rows[j]), len(half))
+    return _like(result, matrix, cov)
 
 
-def cholesky(cov: Array) -> Array:
+def cholesky(cov: Array | Matrix) -> Any:
     """Returns the lower Cholesky factor of a positive definite matrix [D, D]."""
     size = cov.shape[0]
     chex.assert_shape(cov, (size, size))
     if size > UNROLL:
-        return jnp.linalg.cholesky(cov)
-    lower = [[jnp.zeros((), cov.dtype)] * size for _ in range(size)]
+        return jnp.linalg.cholesky(dense(cov))
+    apart = entries(cov).rows
+    lower: list[list[Any]] = [[0] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
-            rest = cov[i, j] - sum(lower[i][k] * lower[j][k] for k in range(j))
-            lower[i][j] = jnp.sqrt(rest) if i == j else rest / lower[j][j]
-    return jnp.stack([jnp.stack(row) for row in lower])
+            rest = minus(apart[i][j], dot(lower[i][:j], lower[j][:j]))
+            lower[i][j] = jnp.sqrt(rest) if i == j else over(rest, lower[j][j])
+    return _like(Matrix(lower), cov)
 
 
-def solve_lower(lower: Array, right: Array) -> Array:
+def solve_lower(lower: Array | Matrix, right: Array | Matrix) -> Any:
     """Returns the solution of lower [D, D] @ x = right, with right [D] or [D, C]."""
-    size = lower.shape[0]
-    chex.assert_shape(lower, (size, size))
-    if size > UNROLL:
-        return solve_triangular(lower, right, lower=True)
-    solution: list[Array] = []
-    for i in range(size):
-        rest = right[i] - sum(lower[i, k] * solution[k] for k in range(i))
-        solution.append(rest / lower[i, i])
-    return jnp.stack(solution)
+    return _solve(lower, right, backwards=False)
 
 
-def solve_upper(lower: Array, right: Array) -> Array:
+def solve_upper(lower: Array | Matrix, right: Array | Matrix) -> Any:
     """Returns the solution of lower.T @ x = right, with right [D] or [D, C]."""
-    size = lower.shape[0]
-    chex.assert_shape(lower, (size, size))
-    if size > UNROLL:
-        return solve_triangular(lower, right, trans=1, lower=True)
-    solution: list[Array] = []
-    for i in reversed(range(size)):
-        known = zip(range(size - 1, i, -1), solution, strict=True)
-        rest = right[i] - sum(lower[k, i] * x for k, x in known)
-        solution.append(rest / lower[i, i])
-    return jnp.stack(solution[::-1])
+    return _solve(lower, right, backwards=True)
 
 
-def solve(lower: Array, right: Array) -> Array:
+def solve(lower: Array | Matrix, right: Array | Matrix) -> Any:
     """Returns the solution of (lower @ lower.T) @ x = right, right [D] or [D, C]."""
     return solve_upper(lower, solve_lower(lower, right))
 
 
-def log_normal(residual: Array, lower: Array) -> Array:
+def log_normal(residual: Array, lower: Array | Matrix) -> Array:
     """Log-density of a residual under N(0, lower @ lower.T).
 
     Args:
@@ -133,6 +187,51 @@ def log_normal(residual: Array, lower: Array) -> Array:
     """
     size = residual.size
     chex.assert_shape(lower, (size, size))
-    white = solve_lower(lower, residual)
-    log_scale = jnp.log(jnp.diagonal(lower)).sum() + size * math.log(math.tau) / 2
-    return -(white * white).sum() / 2 - log_scale
+    return log_white(solve_lower(lower, column(residual)), lower)
+
+
+def log_white(white: Array | Matrix, lower: Array | Matrix) -> Array:
+    """Log-density of a residual of which `white` [Z, 1] is lower^-1 @ residual."""
+    size = lower.shape[0]
+    if _large(lower):
+        square = (dense(white) ** 2).sum()
+        scale = jnp.log(jnp.diagonal(dense(lower))).sum()
+    else:
+        values, factor = entries(white).T.rows[0], entries(lower).rows
+        square = dot(values, values)
+        scale = jnp.log(math.prod(factor[i][i] for i in range(size)))
+    return -square / 2 - scale - size * math.log(math.tau) / 2
+
+
+def _solve(lower: Array | Matrix, right: Array | Matrix, backwards: bool) -> Any:
+    size = lower.shape[0]
+    chex.assert_shape(lower, (size, size))
+    if len(right.shape) == 1:
+        return flat(_solve(lower, column(dense(right)), backwards))
+    if _large(lower, right):
+        trans = 1 if backwards else 0
+        return solve_triangular(dense(lower), dense(right), trans=trans, lower=True)
+    turn = slice(None, None, -1 if backwards else 1)
+    factor, columns = entries(lower), entries(right).T.rows
+    if backwards:  # the transpose, turned about both ways, is lower triangular again
+        factor = Matrix(row[turn] for row in factor.T.rows[turn])
+    solved = [_substitute(factor.rows, values[turn])[turn] for values in columns]
+    return _like(Matrix(solved).T, lower, right)
+
+
+def _substitute(lower: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
+    """Solves lower @ x = right for one column, from its first entry on."""
+    solution: list[Any] = []
+    for row, value in zip(lower, right, strict=True):
+        rest = minus(value, dot(row[: len(solution)], solution))
+        solution.append(over(rest, row[len(solution)]))
+    return solution
+
+
+def _large(*operands: Any) -> bool:
+    return any(max(x.shape[-2:]) > UNROLL for x in operands)
+
+
+def _like(result: Any, *operands: Any) -> Any:
+    """Returns a result as an array if all operands were arrays."""
+    return result if any(isinstance(x, Matrix) for x in operands) else dense(result)

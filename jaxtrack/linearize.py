@@ -25,7 +25,8 @@ Automatic Control 54(6), 2009; Arasaratnam, Haykin and Elliott, "Discrete-time n
 filtering algorithms using Gauss-Hermite quadrature", Proc. IEEE 95(5), 2007.
 """
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import chex
@@ -33,6 +34,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.entries import Matrix, scalars
 from jaxtrack.types import Affine, Array, Gaussian
 
 Function = Callable[[Array], Array]
@@ -144,6 +146,10 @@ def motion_affine(
     noise = motion.noise(interval)
     if motion.linear:
         return Affine(motion.transition(interval), jnp.zeros_like(belief.mean), noise)
+    if method is taylor and hasattr(motion, "expand"):
+        moved, matrix = motion.expand(belief.mean, interval)
+        matrix = linalg.settle(matrix)
+        return Affine(matrix, moved - matrix @ belief.mean, noise)
     return method(lambda state: motion.move(state, interval), belief, noise)
 
 
@@ -159,11 +165,49 @@ def sensor_affine(sensor: Any, motion: Any, belief: Gaussian, method: Method) ->
     Returns:
         matrix [Z, D], offset [Z], cov [Z, Z].
     """
+    if sensor.linear:
+        pick = functools.partial(_pick, belief.mean.size)
+        matrix = sensor.measure(
+            pick(motion.position_index), pick(motion.velocity_index)
+        )
+        offset = jnp.zeros_like(belief.mean, shape=matrix.shape[:1])
+        return Affine(matrix, offset, sensor.cov())
+
+    if method is taylor:
+        return _expand_sensor(sensor, motion, belief)
 
     def measure(state: Array) -> Array:
         position = jnp.stack([state[i] for i in motion.position_index])
         velocity = jnp.stack([state[i] for i in motion.velocity_index])
         return sensor.measure(position, velocity)
 
-    exact = taylor if sensor.linear else method
-    return exact(measure, belief, sensor.cov(), sensor.residual)
+    return method(measure, belief, sensor.cov(), sensor.residual)
+
+
+def _expand_sensor(sensor: Any, motion: Any, belief: Gaussian) -> Affine:
+    """Expands as `taylor` does, but only in what the sensor looks at."""
+    where = motion.position_index, motion.velocity_index
+    parts = [jnp.stack([belief.mean[i] for i in index]) for index in where]
+    expected, used = linalg.once(sensor.measure(*parts)), _used(sensor.measure, *parts)
+    columns: list[Any] = [[0] * expected.size] * belief.mean.size
+    for index, part, looked_at in zip(where, range(2), used, strict=True):
+        for axis, component in enumerate(index if looked_at else ()):
+            step = [jnp.zeros_like(x) for x in parts]
+            step[part] = step[part].at[axis].set(1.0)
+            slope = jax.jvp(sensor.measure, tuple(parts), tuple(step))[1]
+            columns[component] = scalars(slope)
+    matrix = linalg.settle(Matrix(columns).T)
+    return Affine(matrix, expected - matrix @ belief.mean, sensor.cov())
+
+
+def _used(function: Function, *arguments: Array) -> list[bool]:
+    """Says which arguments a function looks at."""
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    seen = {id(x) for step in jaxpr.eqns for x in step.invars}
+    seen |= {id(x) for x in jaxpr.outvars}
+    return [id(x) in seen for x in jaxpr.invars]
+
+
+def _pick(size: int, index: Sequence[int]) -> Matrix:
+    """Returns the matrix that picks components from a state, [P, D]."""
+    return Matrix([int(i == j) for j in range(size)] for i in index)

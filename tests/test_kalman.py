@@ -248,5 +248,5 @@ def test_covariance_stays_positive_definite_in_float32(noise_density):
 def test_filter_names_the_shape_it_wanted():
     prior, motions, *rest = book.random_track(0)
     short = jax.tree.map(lambda x: x[1:], motions)
-    with pytest.raises(AssertionError, match=r"\(11, 4, 4\) but expected \(12, 4, 4\)"):
+    with pytest.raises(AssertionError, match=r"\(11, 4\) but expected \(12, 4\)"):
         kalman.filter(prior, short, *rest)

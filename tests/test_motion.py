@@ -10,6 +10,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from reference import models as plain
 
+from jaxtrack.entries import arrays
 from jaxtrack.models.motion import (
     ConstantAcceleration,
     ConstantVelocity,
@@ -56,7 +57,9 @@ def noises(case):
 
 @jax.jit
 def matrices(motion, intervals):
-    return jax.vmap(lambda t: (motion.transition(t), motion.noise(t)))(intervals)
+    return jax.vmap(lambda t: arrays((motion.transition(t), motion.noise(t))))(
+        intervals
+    )
 
 
 @every_case

@@ -8,6 +8,7 @@ import pytest
 from jax.test_util import check_grads
 from reference import models as plain
 
+from jaxtrack.entries import arrays
 from jaxtrack.models.motion import ConstantVelocity
 from jaxtrack.models.turn import CoordinatedTurn, ForgottenTurn, TurnRate
 
@@ -40,7 +41,7 @@ unknown_rate_slope = jax.jit(jax.jacrev(unknown_rate_move))
 def matrices(rates, noise_density, interval):
     def one(rate):
         motion = CoordinatedTurn(rate, noise_density)
-        return motion.transition(interval), motion.noise(interval)
+        return arrays((motion.transition(interval), motion.noise(interval)))
 
     return jax.vmap(one)(rates)
 

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.entries import Matrix
 from jaxtrack.models import special
 from jaxtrack.types import Array, PyTree
 
@@ -59,12 +60,12 @@ class ConstantVelocity(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D]."""
-        block = [[1.0, interval], [0.0, 1.0]]
+        block = [[1, linalg.floating(interval)], [0, 1]]
         return special.block_diagonal([block] * len(self.noise_density))
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
         t = linalg.floating(interval)
         unit = [[t**3 / 3, t**2 / 2], [t**2 / 2, t]]
@@ -100,13 +101,13 @@ class ConstantAcceleration(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D]."""
         t = linalg.floating(interval)
-        block = [[1.0, t, t**2 / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]]
+        block = [[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]]
         return special.block_diagonal([block] * len(self.noise_density))
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
         t = linalg.floating(interval)
         unit = [
@@ -148,17 +149,17 @@ class Singer(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D]."""
         t = linalg.floating(interval)
         keep, once, twice = special.exponentials(-t / self.time_constant, 2)
         blocks = [
-            [[1.0, t, t**2 * c], [0.0, 1.0, t * b], [0.0, 0.0, a]]
+            [[1, t, t**2 * c], [0, 1, t * b], [0, 0, a]]
             for a, b, c in zip(keep, once, twice, strict=True)
         ]
         return special.block_diagonal(blocks)
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [D, D].
 
         Singer's closed form, with the powers of interval / time_constant that cancel
@@ -168,9 +169,7 @@ class Singer(NamedTuple):
         x = t / self.time_constant
         both = special.exponentials(jnp.stack([-x, -2 * x]), 5)
         e, twin = zip(*both, strict=True)
-        power = (
-            self.noise_std**2 * x
-        )  # the density 2 std^2 / time_constant, times t / 2
+        power = self.noise_std**2 * x  # density 2 std^2 / time_constant, times t / 2
         pp = power * t**4 * (32 * twin[5] - 4 * e[4])
         pv = power * t**3 * e[2] ** 2
         pa = power * t**2 * (8 * twin[3] - 2 * e[2])
@@ -220,7 +219,7 @@ class OrnsteinUhlenbeck(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D]."""
         t = linalg.floating(interval)
         x = t / self.time_constant
@@ -230,7 +229,7 @@ class OrnsteinUhlenbeck(NamedTuple):
             [[[f * (1 + a), f * t], [-f * a / c, f * (1 - a)]] for a, f, c in entries]
         )
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
         t = linalg.floating(interval)
         y = 2 * t / self.time_constant
@@ -284,17 +283,17 @@ class PiecewiseAcceleration(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.motion.move(state, interval)
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D]; only where the motion has one."""
         return self.motion.transition(interval)
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the motion's noise and that of the acceleration, [D, D]."""
         t = linalg.floating(interval)
-        entries: list[list[Any]] = [[0.0] * self.dim for _ in range(self.dim)]
+        entries: list[list[Any]] = [[0] * self.dim for _ in range(self.dim)]
         index = zip(self.position_index, self.velocity_index, strict=True)
         for (p, v), std in zip(index, self.std, strict=True):
             entries[p][p] = std**2 * t**4 / 4
             entries[p][v] = entries[v][p] = std**2 * t**3 / 2
             entries[v][v] = std**2 * t**2
-        return self.motion.noise(interval) + linalg.rows(entries)
+        return self.motion.noise(interval) + Matrix(entries)

@@ -9,9 +9,8 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
 from jaxtrack import linalg
+from jaxtrack.entries import Matrix
 from jaxtrack.models import special
 from jaxtrack.types import Array
 
@@ -51,15 +50,14 @@ class Rest(NamedTuple):
         """Returns the expected state [D] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [D, D], whose rows of velocities are zero."""
         del interval
-        one = jnp.ones((), self.wander_density.dtype)
-        stay = [[one, 0.0], [0.0, 0.0]]
+        stay = [[1, 0], [0, 0]]
         return special.block_diagonal([stay] * len(self.wander_density))
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [D, D]."""
         wander = self.wander_density * linalg.floating(interval)
         entries = zip(wander, self.velocity_std**2, strict=True)
-        return special.block_diagonal([[[p, 0.0], [0.0, v]] for p, v in entries])
+        return special.block_diagonal([[[p, 0], [0, v]] for p, v in entries])

@@ -2,11 +2,12 @@
 
 `measure(position[P], velocity[P])` is the expected detection [Z], `residual(detection,
 expected)` their difference with angles wrapped to [-pi, pi), `cov()` the noise [Z, Z],
-`num_outputs` is Z. Where a detection gives a position, `locate(detection)` is the
-belief about it. Angles are in radians from the sensor's x-axis, which is the world's
-turned anticlockwise by `heading`; bearings and azimuths grow anticlockwise, elevations
-upwards. Gradients are finite everywhere, also at the sensor's own position, where those
-of an angle are 0.
+`num_outputs` is Z. `linear` says that `measure` is a linear map; then it also takes the
+matrices that pick position and velocity from a state, [P, D]. Where a detection gives a
+position, `locate(detection)` is the belief about it. Angles are in radians from the
+sensor's x-axis, which is the world's turned anticlockwise by `heading`; bearings and
+azimuths grow anticlockwise, elevations upwards. Gradients are finite everywhere, also
+at the sensor's own position, where those of an angle are 0.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.models.sensor import RangeBearing
@@ -20,6 +21,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxtrack.entries import Matrix, dense
 from jaxtrack.models import polar, special
 from jaxtrack.types import Array, Gaussian, PyTree
 
@@ -48,13 +50,13 @@ class Position(NamedTuple):
         """Returns detection - expected, [P]."""
         return detection - expected
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the covariance of the noise, [P, P]."""
         return special.diagonal(self.noise_std)
 
     def locate(self, detection: Array) -> Gaussian:
         """Returns the belief about the position, mean [P] and cov [P, P]."""
-        return Gaussian(detection, self.cov())
+        return Gaussian(detection, dense(self.cov()))
 
 
 class RangeBearing(NamedTuple):
@@ -85,7 +87,7 @@ class RangeBearing(NamedTuple):
         gap = detection - expected
         return jnp.stack([gap[0], polar.wrap(gap[1])])
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the covariance of the noise, [2, 2]."""
         return special.diagonal(self.noise_std)
 
@@ -124,7 +126,7 @@ class RangeBearingRate(NamedTuple):
         gap = detection - expected
         return jnp.stack([gap[0], polar.wrap(gap[1]), gap[2]])
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the covariance of the noise, [3, 3]."""
         return special.diagonal(self.noise_std)
 
@@ -160,7 +162,7 @@ class BearingOnly(NamedTuple):
         """Returns detection - expected, wrapped, [1]."""
         return polar.wrap(detection - expected)
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the covariance of the noise, [1, 1]."""
         return special.diagonal(self.noise_std)
 
@@ -193,7 +195,7 @@ class AzimuthElevationRange(NamedTuple):
         gap = detection - expected
         return jnp.stack([polar.wrap(gap[0]), polar.wrap(gap[1]), gap[2]])
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the covariance of the noise, [3, 3]."""
         return special.diagonal(self.noise_std)
 
@@ -228,13 +230,13 @@ class Delayed(NamedTuple):
 
     def measure(self, position: Array, velocity: Array) -> Array:
         """Returns the detection expected of where the target was, [Z]."""
-        return self.sensor.measure(position - self.age * velocity, velocity)
+        return self.sensor.measure(position - velocity * self.age, velocity)
 
     def residual(self, detection: Array, expected: Array) -> Array:
         """Returns the sensor's residual, [Z]."""
         return self.sensor.residual(detection, expected)
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the sensor's covariance, [Z, Z]."""
         return self.sensor.cov()
 
@@ -270,7 +272,7 @@ class Timed(NamedTuple):
         """Returns the sensor's residual of detections without age, [Z]."""
         return self.sensor.residual(detection, expected)
 
-    def cov(self) -> Array:
+    def cov(self) -> Matrix:
         """Returns the sensor's covariance, [Z, Z]."""
         return self.sensor.cov()
 

@@ -9,36 +9,40 @@ their digits near it. These keep values and derivatives there.
     [1.  1.  0.5]
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.entries import Matrix
+from jaxtrack.models import trig
 from jaxtrack.types import Array
 
 
-def block_diagonal(blocks: Sequence[Sequence[Sequence[Any]]]) -> Array:
+def block_diagonal(blocks: Sequence[Sequence[Sequence[Any]]]) -> Matrix:
     """Returns the matrix with these square blocks, of entries, on its diagonal."""
     size = len(blocks[0])
     dim = size * len(blocks)
-    entries: list[list[Any]] = [[0.0] * dim for _ in range(dim)]
+    entries: list[list[Any]] = [[0] * dim for _ in range(dim)]
     for axis, block in enumerate(blocks):
         for i, row in enumerate(block):
             entries[axis * size + i][axis * size : (axis + 1) * size] = row
-    return linalg.rows(entries)
+    return Matrix(entries)
 
 
-def scaled_blocks(block: Sequence[Sequence[Any]], scale: Array) -> Array:
+def scaled_blocks(block: Sequence[Sequence[Any]], scale: Array) -> Matrix:
     """Returns the block-diagonal matrix of one block, of entries, times scale [P]."""
     return block_diagonal([[[s * x for x in row] for row in block] for s in scale])
 
 
-def diagonal(std: Array) -> Array:
+def diagonal(std: Array) -> Matrix:
     """Returns the covariance [Z, Z] of independent errors, std [Z]."""
     size = range(len(std))
-    return linalg.rows([[std[i] ** 2 if i == j else 0.0 for j in size] for i in size])
+    return Matrix([std[i] ** 2 if i == j else 0 for j in size] for i in size)
 
 
 def exponentials(z: Array, order: int) -> list[Array]:
@@ -60,17 +64,37 @@ def exponentials(z: Array, order: int) -> list[Array]:
     return [jnp.where(small, *pair) for pair in zip(below, above, strict=True)]
 
 
-def circular(angle: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns cos(a), sin(a)/a, (1 - cos(a))/a^2 and (a - sin(a))/a^3, smooth at 0."""
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def circular(angle: Array, order: int = 3) -> tuple[Array, ...]:
+    """Returns c_0(a) to c_order(a), where c_k(a) = sum_n (-a^2)^n / (2 n + k)!.
+
+    The first are cos(a), sin(a)/a, (1 - cos(a))/a^2 and (a - sin(a))/a^3 (the functions
+    of Stumpff); each is smooth at 0, and c_k(a) = 1/k! - a^2 c_{k+2}(a).
+    """
     small = jnp.abs(angle) < 1
     near, far = jnp.where(small, angle, 0.0), jnp.where(small, 1.0, angle)
-    square = -(near**2)
-    two = three = jnp.zeros_like(angle)
-    for n in reversed(range(9)):
-        two = two * square + 1 / math.factorial(2 * n + 2)
-        three = three * square + 1 / math.factorial(2 * n + 3)
-    cos, sin = jnp.cos(far), jnp.sin(far)
-    below = (1 + square * two, 1 + square * three, two, three)
-    above = (cos, sin / far, (1 - cos) / far**2, (far - sin) / far**3)
-    one, *rest = (jnp.where(small, *pair) for pair in zip(below, above, strict=True))
-    return one, rest[0], rest[1], rest[2]
+    square = near**2
+    below: list[Array] = []
+    for k in reversed(range(order + 1)):
+        if k > order - 2:
+            last = jnp.zeros_like(angle)
+            for n in reversed(range(9)):
+                last = 1 / math.factorial(2 * n + k) - square * last
+            below.insert(0, last)
+        else:
+            below.insert(0, 1 / math.factorial(k) - square * below[1])
+    sin, cos = trig.sincos(far)
+    above = [cos, sin / far]
+    for k in range(order - 1):
+        above.append((1 / math.factorial(k) - above[k]) / far**2)
+    pairs = zip(below, above[: order + 1], strict=True)
+    return tuple(linalg.once(jnp.where(small, *pair)) for pair in pairs)
+
+
+@circular.defjvp
+def _circular_jvp(
+    order: int, primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    c, turn = circular(primals[0], order + 2), primals[0] * tangents[0]
+    slopes = (turn * (k * c[k + 2] - c[k + 1]) for k in range(order + 1))
+    return c[: order + 1], tuple(slopes)

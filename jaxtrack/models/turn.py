@@ -17,9 +17,11 @@ exp(A s) B B^T exp(A s)^T, done by hand.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.entries import Matrix
 from jaxtrack.models import special
 from jaxtrack.types import Array, PyTree
 
@@ -44,22 +46,30 @@ class CoordinatedTurn(NamedTuple):
         """Returns the expected state [4] after `interval` seconds."""
         return self.transition(interval) @ state
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [4, 4]."""
-        t = linalg.floating(interval)
-        angle = self.turn_rate * t
-        cos, sinc, versine, _ = special.circular(angle)
-        sin, along, across = angle * sinc, t * sinc, t * angle * versine
-        return linalg.rows(
+        cos, sin, along, across = self.parts(interval)
+        return Matrix(
             [
-                [1.0, along, 0.0, -across],
-                [0.0, cos, 0.0, -sin],
-                [0.0, across, 1.0, along],
-                [0.0, sin, 0.0, cos],
+                [1, along, 0, -across],
+                [0, cos, 0, -sin],
+                [0, across, 1, along],
+                [0, sin, 0, cos],
             ]
         )
 
-    def noise(self, interval: Array) -> Array:
+    def parts(self, interval: Array) -> tuple[Array, Array, Array, Array]:
+        """Returns cosine and sine of the turned angle, and the way of a unit velocity.
+
+        The way is what a velocity of 1 m/s covers in its own direction and across, to
+        the left, in seconds.
+        """
+        t = linalg.floating(interval)
+        angle = self.turn_rate * t
+        cos, sinc, versine, _ = special.circular(angle)
+        return cos, angle * sinc, t * sinc, t * angle * versine
+
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [4, 4].
 
         Not that of `ConstantVelocity`: the push received early has turned since, which
@@ -72,12 +82,12 @@ class CoordinatedTurn(NamedTuple):
         pv = self.noise_density * t**2 * versine
         twist = self.noise_density * t**2 * angle * rest
         vv = self.noise_density * t
-        return linalg.rows(
+        return Matrix(
             [
-                [pp, pv, 0.0, twist],
-                [pv, vv, -twist, 0.0],
-                [0.0, -twist, pp, pv],
-                [twist, 0.0, pv, vv],
+                [pp, pv, 0, twist],
+                [pv, vv, -twist, 0],
+                [0, -twist, pp, pv],
+                [twist, 0, pv, vv],
             ]
         )
 
@@ -107,18 +117,45 @@ class TurnRate(NamedTuple):
         turn = CoordinatedTurn(state[4], self.noise_density)
         return jnp.append(turn.move(state[:4], interval), state[4])
 
-    def noise(self, interval: Array) -> Array:
+    def expand(self, state: Array, interval: Array) -> tuple[Array, Matrix]:
+        """Returns `move` and its derivative in the state, [5] and [5, 5]."""
+
+        def parts(rate: Array) -> tuple[Array, ...]:
+            return CoordinatedTurn(rate, self.noise_density).parts(interval)
+
+        both = jax.jvp(parts, (state[4],), (jnp.ones_like(state[4]),))
+        (cos, sin, along, across), slopes = jax.tree.map(linalg.once, both)
+        dcos, dsin, dalong, dacross = slopes
+        x, vx, y, vy, rate = state
+        moved = [
+            x + along * vx - across * vy,
+            cos * vx - sin * vy,
+            y + across * vx + along * vy,
+            sin * vx + cos * vy,
+            rate,
+        ]
+        return jnp.stack(moved), Matrix(
+            [
+                [1, along, 0, -across, dalong * vx - dacross * vy],
+                [0, cos, 0, -sin, dcos * vx - dsin * vy],
+                [0, across, 1, along, dacross * vx + dalong * vy],
+                [0, sin, 0, cos, dsin * vx + dcos * vy],
+                [0, 0, 0, 0, 1],
+            ]
+        )
+
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [5, 5]."""
         t = linalg.floating(interval)
         q = self.noise_density
         pp, pv, vv = q * t**3 / 3, q * t**2 / 2, q * t
-        return linalg.rows(
+        return Matrix(
             [
-                [pp, pv, 0.0, 0.0, 0.0],
-                [pv, vv, 0.0, 0.0, 0.0],
-                [0.0, 0.0, pp, pv, 0.0],
-                [0.0, 0.0, pv, vv, 0.0],
-                [0.0, 0.0, 0.0, 0.0, self.turn_noise_density * t],
+                [pp, pv, 0, 0, 0],
+                [pv, vv, 0, 0, 0],
+                [0, 0, pp, pv, 0],
+                [0, 0, pv, vv, 0],
+                [0, 0, 0, 0, self.turn_noise_density * t],
             ]
         )
 
@@ -158,17 +195,17 @@ class ForgottenTurn(NamedTuple):
         """Returns the expected state [5] after `interval` seconds."""
         return jnp.append(self.motion.move(state[:-1], interval), 0.0)
 
-    def transition(self, interval: Array) -> Array:
+    def transition(self, interval: Array) -> Matrix:
         """Returns the transition matrix, [5, 5], its last row and column zero."""
-        return _extend(self.motion.transition(interval), 0.0)
+        return _extend(self.motion.transition(interval), 0)
 
-    def noise(self, interval: Array) -> Array:
+    def noise(self, interval: Array) -> Matrix:
         """Returns the covariance of the noise over `interval` seconds, [5, 5]."""
         return _extend(self.motion.noise(interval), self.spread**2)
 
 
-def _extend(matrix: Array, corner: Array | float) -> Array:
+def _extend(matrix: Matrix, corner: Array | int) -> Matrix:
     """Returns a matrix [D, D] with a last row and column, zero but for the corner."""
     size = len(matrix)
-    entries = [[*row, 0.0] for row in matrix]
-    return linalg.rows([*entries, [0.0] * size + [corner]])
+    entries = [[*row, 0] for row in matrix.rows]
+    return Matrix([*entries, [0] * size + [corner]])

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack import linalg
+from jaxtrack.entries import dense
 from jaxtrack.models.turn import CoordinatedTurn
 from jaxtrack.types import Array, PyTree, Scan, Tracker
 
@@ -137,7 +138,7 @@ def _detect(key: Array, state: Array, motion: Any, sensor: Any) -> Array:
     velocity = jnp.stack([state[i] for i in motion.velocity_index])
     expected = sensor.measure(position, velocity)
     white = jax.random.normal(key, expected.shape, expected.dtype)
-    noise = linalg.cholesky(sensor.cov()) @ white
+    noise = dense(linalg.cholesky(sensor.cov())) @ white
     # The residual against zero wraps the angles of the noisy detection.
     return sensor.residual(expected + noise, 0 * expected)
 

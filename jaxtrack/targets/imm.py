@@ -119,8 +119,7 @@ def _predict(
         linearize.motion_affine(motion, Gaussian(mean, cov), interval, method)
         for motion, mean, cov in zip(params.motions, mixed.mean, mixed.cov, strict=True)
     ]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
-    return bank_of_modes.predict(mixed, stacked), log_survive
+    return bank_of_modes.predict(mixed, motions), log_survive
 
 
 def _miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:

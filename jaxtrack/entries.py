@@ -1,0 +1,221 @@
+"""Small matrices written out entry by entry, so that XLA fuses them over any batch.
+
+A `Matrix` has its entries apart: scalars, or arrays of one shape for many matrices at
+once. A Python number among them is known when the program is traced, so that the zeros
+and ones of a model cost nothing. NumPy and JAX read a `Matrix` as an array; of two of
+them `+`, `-` and `@` make a `Matrix`, of one and an array they make an array. It is a
+pytree of the entries that are not known: `vmap`, `scan` and `grad` take it as it is.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.entries import Matrix
+    >>> shift = Matrix([[1, jnp.array(0.5)], [0, 1]])
+    >>> print((shift @ shift).rows[1], shift @ jnp.array([3.0, 2.0]))
+    (0, 1) [4. 2.]
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtrack.types import Array, PyTree
+
+Entry = Any  # a Python number, or an array
+
+
+@jax.tree_util.register_pytree_node_class
+class Matrix:
+    """A matrix by its entries.
+
+    Attributes:
+        rows: Rows of Python numbers, and of arrays that broadcast to one shape.
+    """
+
+    def __init__(self, rows: Iterable[Iterable[Entry]]) -> None:
+        """Keeps the rows as tuples."""
+        self.rows = tuple(tuple(row) for row in rows)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Returns the shape as an array; many matrices have a leading axis."""
+        leaves = (jnp.shape(x) for row in self.rows for x in row)
+        return (*np.broadcast_shapes(*leaves), len(self.rows), len(self.rows[0]))
+
+    @property
+    def ndim(self) -> int:
+        """Returns the number of axes as an array."""
+        return len(self.shape)
+
+    @property
+    def dtype(self) -> Any:
+        """Returns the type as an array."""
+        return jnp.result_type(float, *(x for row in self.rows for x in row))
+
+    @property
+    def T(self) -> "Matrix":
+        """Returns the transpose."""
+        return Matrix(zip(*self.rows, strict=True))
+
+    def __len__(self) -> int:
+        """Returns the length of the first axis."""
+        return self.shape[0]
+
+    def __getitem__(self, index: Any) -> Array:
+        """Returns a part of the array."""
+        return dense(self)[index]
+
+    def __iter__(self) -> Iterator[Array]:
+        """Returns the parts of the array along its first axis."""
+        return iter(dense(self))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Returns the array, for NumPy."""
+        del copy
+        return np.asarray(dense(self), dtype)
+
+    def __jax_array__(self) -> Array:
+        """Returns the array, for JAX."""
+        return dense(self)
+
+    def __matmul__(self, other: Any) -> Any:
+        """Returns the product with a matrix, or with an array."""
+        if isinstance(other, Matrix):
+            columns = other.T.rows
+            return Matrix([dot(row, column) for column in columns] for row in self.rows)
+        if jnp.ndim(other) == 1:
+            return flat(self @ column(other))
+        return dense(self) @ other
+
+    def __rmatmul__(self, other: Any) -> Array:
+        """Returns the product of an array with this one."""
+        return other @ dense(self)
+
+    def __add__(self, other: Any) -> Any:
+        """Returns the sum with a matrix, or with an array."""
+        return _entrywise(plus, jnp.add, self, other)
+
+    def __radd__(self, other: Any) -> Array:
+        """Returns the sum of an array and this one."""
+        return other + dense(self)
+
+    def __sub__(self, other: Any) -> Any:
+        """Returns the difference from a matrix, or from an array."""
+        return _entrywise(minus, jnp.subtract, self, other)
+
+    def __rsub__(self, other: Any) -> Array:
+        """Returns the difference of an array from this one."""
+        return other - dense(self)
+
+    def __mul__(self, scalar: Entry) -> "Matrix":
+        """Returns the matrix times a scalar."""
+        return Matrix([times(x, scalar) for x in row] for row in self.rows)
+
+    def tree_flatten(self) -> tuple[list[Array], tuple]:
+        """Returns the entries that are not known, and where the others stand."""
+        known = tuple(tuple(_number(x) for x in row) for row in self.rows)
+        leaves = [x for row in self.rows for x in row if _number(x) is None]
+        return leaves, known
+
+    @classmethod
+    def tree_unflatten(cls, known: tuple, leaves: Sequence[Any]) -> "Matrix":
+        """Puts the entries back."""
+        rest = iter(leaves)
+        return cls([next(rest) if x is None else x for x in row] for row in known)
+
+
+def _number(entry: Entry) -> float | None:
+    """Returns an entry that is known, or None."""
+    return entry if isinstance(entry, int | float) else None
+
+
+def _entrywise(entry: Callable, array: Callable, left: Matrix, right: Any) -> Any:
+    if not isinstance(right, Matrix):
+        return array(dense(left), right)
+    pairs = zip(left.rows, right.rows, strict=True)
+    return Matrix(map(entry, *pair) for pair in pairs)
+
+
+def plus(left: Entry, right: Entry) -> Entry:
+    """Returns left + right."""
+    if isinstance(left, int | float) and left == 0:
+        return right
+    return left if isinstance(right, int | float) and right == 0 else left + right
+
+
+def minus(left: Entry, right: Entry) -> Entry:
+    """Returns left - right."""
+    return left if isinstance(right, int | float) and right == 0 else left - right
+
+
+def times(left: Entry, right: Entry) -> Entry:
+    """Returns left * right."""
+    for one, other in ((left, right), (right, left)):
+        if isinstance(one, int | float) and one in (0, 1):
+            return other if one else 0
+    return left * right
+
+
+def over(left: Entry, right: Entry) -> Entry:
+    """Returns left / right, where right is not zero."""
+    return 0 if isinstance(left, int | float) and left == 0 else left / right
+
+
+def dot(left: Iterable[Entry], right: Iterable[Entry]) -> Entry:
+    """Returns the sum of the products of two rows."""
+    total: Entry = 0
+    for x, y in zip(left, right, strict=True):
+        total = plus(total, times(x, y))
+    return total
+
+
+def symmetric(entry: Callable[[int, int], Entry], size: int) -> Matrix:
+    """Returns the matrix with entry(i, j), of which one triangle is computed."""
+    half = {(i, j): entry(i, j) for i in range(size) for j in range(i, size)}
+    side = range(size)
+    return Matrix([half[min(i, j), max(i, j)] for j in side] for i in side)
+
+
+def split(array: Array) -> Matrix:
+    """Returns the entries of an array [R, C], of many [N, R, C] each an array [N]."""
+    # Row by row, as `dense` joins them: XLA then sees through the one and the other.
+    array = jnp.asarray(array)
+    rows = jax.lax.split(array, [1] * array.shape[-2], axis=array.ndim - 2)
+    return Matrix(scalars(row.reshape(*row.shape[:-2], -1)) for row in rows)
+
+
+def scalars(array: Array) -> list[Array]:
+    """Returns the entries of an array [N], or along the last axis of a larger one."""
+    array = jnp.asarray(array)
+    parts = jax.lax.split(array, [1] * array.shape[-1], axis=array.ndim - 1)
+    return [x.reshape(x.shape[:-1]) for x in parts]
+
+
+def column(array: Array) -> Matrix:
+    """Returns the entries of an array [N], one below the other."""
+    return Matrix([x] for x in scalars(array))
+
+
+def flat(matrix: Matrix | Array) -> Array:
+    """Returns a matrix of one column, [N, 1], as an array [N]."""
+    return dense(matrix)[..., 0]
+
+
+def dense(matrix: Matrix | Array) -> Array:
+    """Returns a matrix as an array [R, C], many as [N, R, C]; an array as it is."""
+    if not isinstance(matrix, Matrix):
+        return matrix
+    shape, dtype = matrix.shape[:-2], matrix.dtype
+
+    def full(entry: Entry) -> Array:
+        return jnp.broadcast_to(jnp.asarray(entry, dtype), shape)
+
+    # Row by row: XLA on CPU is slow at joining many small pieces at once.
+    stacked = [jnp.stack([full(x) for x in row], axis=-1) for row in matrix.rows]
+    return jnp.stack(stacked, axis=-2)
+
+
+def arrays(tree: PyTree) -> PyTree:
+    """Returns a pytree with each `Matrix` in it as an array."""
+    return jax.tree.map(dense, tree, is_leaf=lambda x: isinstance(x, Matrix))
