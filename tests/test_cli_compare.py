@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from jaxtrack import engine, scenarios
 from jaxtrack.cli import app, compare
 from jaxtrack.study import table
+from jaxtrack.study.scores import Scores
 
 ROOT = pathlib.Path(__file__).parent.parent
 KEYS = {"tracker", "setting", "ospa", "gospa", "cardinality_bias", "seconds"}
@@ -73,7 +74,7 @@ def test_result_holds_every_score_of_every_run(compared):
     with xarray.open_dataset(compared[1] / "result.nc", engine="h5netcdf") as data:
         assert data.ospa.dims == ("setting", "tracker", "run", "time")
         assert data.ospa.shape == (2, 2, 7, 6)
-        assert set(engine.Scores._fields) <= set(data.data_vars)
+        assert set(Scores._fields) <= set(data.data_vars)
         summary = json.loads((compared[1] / "summary.json").read_text())
         mean = float(data.ospa.sel(setting="clutter_rate=3", tracker="far").mean())
         assert summary["rows"][3]["ospa"]["mean"] == pytest.approx(mean)

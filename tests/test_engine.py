@@ -15,6 +15,7 @@ from reference import small
 
 from jaxtrack import engine
 from jaxtrack.scenarios.world import observe
+from jaxtrack.study.scores import Scores
 
 SWEEP = {"clutter_rate": [1, 3]}
 RUNS = 7
@@ -84,7 +85,7 @@ def test_a_run_is_simulated_tracked_and_scored_as_by_hand(sweep, name, run, rate
 def test_study_has_its_dimensions_coordinates_and_attributes(sweep):
     data = sweep[0]
     assert dict(data.sizes) == {"setting": 2, "tracker": 2, "run": RUNS, "time": 6}
-    for name in engine.Scores._fields:
+    for name in Scores._fields:
         assert data[name].dims == ("setting", "tracker", "run", "time")
     for name in ("seconds", "compile_seconds"):
         assert data[name].dims == ("setting", "tracker")

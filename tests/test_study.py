@@ -10,10 +10,11 @@ from reference import small
 
 from jaxtrack import engine
 from jaxtrack.study import devices, parts, sweep, table
+from jaxtrack.study.scores import Scores
 
 SWEEP = {"clutter_rate": [1, 3]}
 ARGUMENTS = (small.make, ["near", "far"], 7, 3, SWEEP, 3)
-SCORES = list(engine.Scores._fields)
+SCORES = list(Scores._fields)
 
 
 class Killed(Exception):

@@ -1,4 +1,4 @@
-"""One compiled call for many runs, shared among all local devices.
+"""Many runs in one compiled call, in blocks and shared among all local devices.
 
 >>> import jax
 >>> from jaxtrack.study import devices
@@ -21,6 +21,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxtrack.types import Array, PyTree
 
+LANES = 16  # numbers that a core takes at once
 SAME, MANY = PartitionSpec(), PartitionSpec("runs")
 
 
@@ -58,22 +59,21 @@ def call(
         The result; an array that does not hold one item for each key of a device comes
         back with a leading axis over devices instead.
     """
-    mesh = Mesh(np.array(jax.local_devices()), ("runs",))
+    mesh = local_mesh()
     each = -(-keys.size // mesh.size)
-    everyone = jnp.arange(each * mesh.size) % keys.size
-    share = jax.device_put(keys[everyone], NamedSharding(mesh, MANY))
+    share = jax.device_put(again(keys, each * mesh.size), NamedSharding(mesh, MANY))
     # Explicit types, so that a Python number and an array compile alike.
     values = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), values)
     values = jax.device_put(values, NamedSharding(mesh, SAME))
 
     start = time.perf_counter()
-    leaves, structure = jax.tree.flatten((*values, share))
+    leaves, structure = jax.tree.flatten((values, share))
     shapes = tuple(
         jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding) for x in leaves
     )
     program = _compiled(function, static, mesh, structure, shapes)
     compiled = time.perf_counter()
-    result = jax.block_until_ready(program(*values, share))
+    result = jax.block_until_ready(program(values, share))
     end = time.perf_counter()
     result = jax.tree.map(lambda x: np.asarray(x)[: keys.size], result)
     return Call(result, end - compiled, compiled - start)
@@ -87,13 +87,102 @@ def _compiled(
     structure: Any,
     shapes: tuple[jax.ShapeDtypeStruct, ...],
 ) -> Callable[..., PyTree]:
-    """Compiles; each device works on its own, without a word to the others."""
+    """Compiles a call."""
     arguments = jax.tree.unflatten(structure, shapes)
-    program = jax.shard_map(
-        functools.partial(function, *static),
-        mesh=mesh,
-        in_specs=(*(SAME for _ in arguments[:-1]), MANY),
-        out_specs=MANY,
-        check_vma=False,
+
+    def work(values: tuple[PyTree, ...], share: Array) -> PyTree:
+        return function(*static, *values, share)
+
+    return jax.jit(spread(work, mesh)).lower(*arguments).compile()
+
+
+def local_mesh() -> Mesh:
+    """Returns all local devices in a row."""
+    return Mesh(np.array(jax.local_devices()), ("runs",))
+
+
+def spread(
+    function: Callable[[PyTree, PyTree], PyTree], mesh: Mesh
+) -> Callable[[PyTree, PyTree], PyTree]:
+    """Lets each device work on its share of the runs, without a word to the others.
+
+    Args:
+        function: Of arrays that every device gets whole, and of arrays of which it gets
+            its share along the leading axis; what it returns has that axis too.
+        mesh: The devices; the number of runs is a multiple of theirs.
+    """
+    return jax.shard_map(
+        function, mesh=mesh, in_specs=(SAME, MANY), out_specs=MANY, check_vma=False
     )
-    return jax.jit(program).lower(*arguments).compile()
+
+
+def again(runs: PyTree, total: int) -> PyTree:
+    """Returns arrays [R, ...] as [total, ...], beginning anew where they end."""
+    count = jax.tree.leaves(runs)[0].shape[0]
+    if count == total:
+        return runs
+    order = np.arange(total) % count
+    return jax.tree.map(lambda x: x[order], runs)
+
+
+def blocks(runs: int, devices: int, block: int) -> tuple[int, int]:
+    """Returns how many blocks each device works on, and how many runs each block has.
+
+    Blocks are equal and have about `block` runs at most; many runs are whole numbers of
+    lanes. Together they hold few runs more than there are.
+
+        >>> blocks(10_000, devices=2, block=1024)
+        (5, 1008)
+    """
+    each = -(-runs // devices)
+    count = -(-each // block)
+    size = -(-each // count)
+    if size >= 8 * LANES:
+        size = -(-size // LANES) * LANES
+    return count, size
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def map_blocks(
+    function: Callable[..., PyTree],
+    static: tuple[Hashable, ...],
+    own: tuple[bool, ...],
+    block: int,
+    mesh: Mesh,
+    arguments: tuple[PyTree, ...],
+) -> PyTree:
+    """Calls a function of one run for each of R runs; see `engine.map_runs`.
+
+    Args:
+        function: (*static, *arguments of one run) -> arrays.
+        static: What the program depends on.
+        own: For each argument, whether it has a leading R; at least one has.
+        block: Runs that are computed side by side, at most.
+        mesh: The devices.
+        arguments: Of all runs.
+
+    Returns:
+        What the function returns, with a leading R.
+    """
+    pairs = list(zip(arguments, own, strict=True))
+    same = [None if mine else x for x, mine in pairs]
+    runs = [x if mine else None for x, mine in pairs]
+
+    def one(same: list[PyTree], run: list[PyTree]) -> PyTree:
+        whole = [y if mine else x for x, y, mine in zip(same, run, own, strict=True)]
+        return function(*static, *whole)
+
+    many = jax.vmap(one, (None, 0))
+    number = jax.tree.leaves(runs)[0].shape[0]
+    count, size = blocks(number, mesh.size, block)
+
+    def work(same: list[PyTree], share: list[PyTree]) -> PyTree:
+        if count == 1:
+            return many(same, share)
+        share = jax.tree.map(lambda x: x.reshape(count, size, *x.shape[1:]), share)
+        result = jax.lax.map(functools.partial(many, same), share)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), result)
+
+    total = count * size * mesh.size
+    result = spread(work, mesh)(same, again(runs, total))
+    return jax.tree.map(lambda x: x[:number], result) if total > number else result

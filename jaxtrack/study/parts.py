@@ -43,7 +43,7 @@ class Part(NamedTuple):
     """What one compiled call yields.
 
     Attributes:
-        scores: [R, T] for each field of `engine.Scores`.
+        scores: [R, T] for each field of `scores.Scores`.
         seconds: How long the call took.
         compile_seconds: How long it took to compile it, 0 if it was compiled already.
         example: Scans and estimates of run 0 by name, each with a leading T; empty in
