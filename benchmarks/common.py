@@ -28,6 +28,7 @@ import jax
 import numpy as np
 
 from benchmarks.problems import Problem
+from jaxtrack import engine
 from jaxtrack.types import Gaussian
 
 ENOUGH = 0.02  # seconds; calls shorter than this are repeated within a round
@@ -133,8 +134,8 @@ def many(function: Callable, num_shared: int) -> Callable:
     """
 
     def call(*arguments: Any) -> Any:
-        own = len(arguments) - num_shared
-        return jax.vmap(function, (None,) * num_shared + (0,) * own)(*arguments)
+        axes = [None if k < num_shared else 0 for k in range(len(arguments))]
+        return engine.map_runs(function, *arguments, in_axes=axes)
 
     return call
 
@@ -251,6 +252,7 @@ def main(rows: Callable[[Size], list[Row]], cores: int = 1) -> None:
     parser.add_argument("--out", type=pathlib.Path, help="write the rows as JSON")
     options = parser.parse_args()
     pin(cores)
+    jax.config.update("jax_num_cpu_devices", cores)
     jax.config.update("jax_enable_compilation_cache", False)
     made = rows(QUICK if options.quick else Size())
     for row in made:

@@ -47,7 +47,7 @@ def tracker_row(name: str, what: str, size: Size, **settings: int) -> list[Row]:
     keys = engine.run_keys(0, 0, min(TRACKED, size.runs))
     scans = jax.jit(jax.vmap(lambda key: scenario.simulate(key)[1]))(keys)
     scans = jax.tree.map(lambda x: x[:, : size.scans], scans)
-    run = jax.vmap(functools.partial(engine.run, tracker), (None, 0, 0))
+    run = functools.partial(engine.run_many, tracker)
     call, seconds = common.compiled(run, params, scans, keys)
     own = Job("jaxtrack", call, scans.interval.size, seconds)
     work, rounds = f"{name}, {what}", min(size.rounds, 3)

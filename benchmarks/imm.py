@@ -31,7 +31,7 @@ MODES = len(problems.DENSITIES)
 
 def log_likelihood(
     motions: Sequence[Affine],
-    sensors: Affine,
+    sensors: Sequence[Affine],
     log_transition: Array,
     prior: Gaussian,
     detections: Array,
@@ -40,7 +40,7 @@ def log_likelihood(
 
     Args:
         motions: One for each mode.
-        sensors: The same, with a leading M.
+        sensors: The same.
         log_transition: [M, M].
         prior: Of every mode.
         detections: [T, 2].
@@ -72,13 +72,14 @@ def target_log_likelihood(
     return jax.lax.scan(step, bank, detections)[1].sum()
 
 
-def dense(problem: Problem) -> tuple[tuple[Affine, ...], Affine, Array]:
+def dense(
+    problem: Problem,
+) -> tuple[tuple[Affine, ...], tuple[Affine, ...], Array]:
     """Returns motions, sensors and the log of the switching as arrays."""
     pairs = zip(problem.transition, problem.noise, strict=True)
     motions = tuple(Affine(matrix, jnp.zeros(4), noise) for matrix, noise in pairs)
     sensor = Affine(problem.matrix, jnp.zeros(2), problem.sensor_noise)
-    sensors = jax.tree.map(lambda x: jnp.stack([x] * MODES), sensor)
-    return motions, sensors, jnp.log(problems.switching())
+    return motions, (sensor,) * MODES, jnp.log(problems.switching())
 
 
 def models() -> tuple[target_of_modes.Params, Array]:
