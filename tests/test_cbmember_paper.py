@@ -30,7 +30,11 @@ MANEUVERING = imm.Params(
 NUM_SCANS, SLOTS = 10, 5
 COMPONENTS = {"max_components": 2, "prune_threshold": 0.01, "merge_threshold": 1.0}
 SIZES = book.Settings(
-    max_tracks=5, max_parents=2, prune_threshold=1e-3, report_threshold=0.5
+    max_tracks=5,
+    max_parents=2,
+    max_updated=2,
+    prune_threshold=1e-3,
+    report_threshold=0.5,
 )
 
 

@@ -15,6 +15,7 @@ from reference import mixture
 class Settings(NamedTuple):
     max_tracks: int
     max_parents: int
+    max_updated: int
     prune_threshold: float
     report_threshold: float
 
@@ -36,7 +37,7 @@ def step(model, scene, settings, tracks, detections, next_label):
         track, log_density = update(model, scene, settings, tracks, z)
         updated.append(track)
         log_evidence += log_density
-    tracks, dropped = keep(settings, legacy + updated)
+    tracks, dropped = keep(settings, legacy, updated)
     tracks, next_label = tell_apart(settings, tracks, next_label)
     return tracks, next_label, log_evidence - scene.rate, dropped
 
@@ -82,11 +83,16 @@ def update(model, scene, settings, tracks, z):
     return (numerator / denominator, belief, parents[0][2]), np.log(denominator)
 
 
-def keep(settings, tracks):
-    likely = [t for t in tracks if t[0] >= settings.prune_threshold]
-    likely.sort(key=lambda track: -track[0])
+def keep(settings, legacy, updated):
+    """Caps the updated tracks, then all; returns those kept and what was dropped."""
+    limit, by_chance = settings.prune_threshold, lambda track: -track[0]
+    legacy = [t for t in legacy if t[0] >= limit]
+    updated = sorted((t for t in updated if t[0] >= limit), key=by_chance)
+    most = settings.max_updated
+    likely = sorted(legacy + updated[:most], key=by_chance)
     kept, gone = likely[: settings.max_tracks], likely[settings.max_tracks :]
-    dropped = sum(r for r, _, _ in gone) + sum(r * belief[1] for r, belief, _ in kept)
+    dropped = sum(r for r, _, _ in gone + updated[most:])
+    dropped += sum(r * belief[1] for r, belief, _ in kept)
     return kept, dropped
 
 
