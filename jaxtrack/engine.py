@@ -61,9 +61,9 @@ def map_runs(
     """Calls a function of one run for R runs, as `jax.vmap` does, but faster.
 
     The runs are shared among all local devices, and each computes them block by block,
-    so that what it works on stays in its cache. (The cores of a CPU are devices where
-    jax was started so: `jax.config.update("jax_num_cpu_devices", 8)`.) It can be called
-    under `jax.jit` and differentiated. A function made anew is traced anew.
+    so that what it works on stays in its cache. (`jaxtrack.start.cores()` makes devices
+    of the cores of a CPU.) It can be called under `jax.jit` and differentiated. A
+    function made anew is traced anew.
 
     Args:
         function: (*static, *arguments of one run) -> arrays.
@@ -72,7 +72,7 @@ def map_runs(
             `jax.vmap`; a single 0 says so of all arguments.
         static: What the program depends on, such as a tracker.
         block: Runs that are computed side by side, at most. One Kalman filter is
-            fastest with 512 to 2,048, a tracker of many targets with some 8.
+            fastest with 512 to 2,048, a tracker of many targets with some 16.
 
     Returns:
         What the function returns, with a leading R.
@@ -102,7 +102,7 @@ def map_runs(
 
 
 def run_many(
-    tracker: Tracker, params: PyTree, scans: Scan, keys: Array, block: int = 8
+    tracker: Tracker, params: PyTree, scans: Scan, keys: Array, block: int = 16
 ) -> PyTree:
     """Runs a tracker over the T scans of R runs; estimates have a leading R, T.
 

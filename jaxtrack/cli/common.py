@@ -20,13 +20,6 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-DEVICE_FLAG = "--xla_force_host_platform_device_count"
-
-KEEP_ALL = {
-    "jax_persistent_cache_min_compile_time_secs": 0,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
-}
-
 
 class Commands(TyperGroup):
     """The commands; what is wrong with their arguments is said in one sentence."""
@@ -72,31 +65,24 @@ def bad_input(*kinds: type[Exception]) -> Iterator[None]:
 def start_jax(precision: int) -> None:
     """Starts jax with a device for each core, and keeps what it compiles.
 
-    Must come before anything imports jax; where that is too late, the number of devices
-    stays as it is. Compiled programs go to JAX_COMPILATION_CACHE_DIR, by default to
-    jaxtrack/jax in the user's cache.
+    `jaxtrack.start` says which environment variables change this; JAXTRACK_FUSION=1
+    asks for its experiment, `start.fusion`.
 
     Args:
         precision: Bits of a float, 32 or 64.
     """
     if precision not in (32, 64):
         fail(f"precision is {precision}; give 32 or 64")
-    flags = os.environ.get("XLA_FLAGS", "")
-    if "jax" not in sys.modules and DEVICE_FLAG not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {DEVICE_FLAG}={_cores()}".strip()
+    from jaxtrack import start
+
+    start.cores()
+    if os.environ.get("JAXTRACK_FUSION", "0") != "0":
+        with bad_input(RuntimeError):
+            start.fusion()
+    start.cache()
     import jax
 
     jax.config.update("jax_enable_x64", precision == 64)
-    if jax.config.values["jax_compilation_cache_dir"] is None:
-        home = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
-        cache = pathlib.Path(home, "jaxtrack", "jax")
-        with contextlib.suppress(OSError):  # a cache is not worth an error
-            cache.mkdir(parents=True, exist_ok=True)
-            jax.config.update("jax_compilation_cache_dir", str(cache))
-    # Many short compilations take long together, so none is too short to keep.
-    for name, value in KEEP_ALL.items():
-        if name.upper() not in os.environ:
-            jax.config.update(name, value)
 
 
 def need(*modules: str) -> None:
@@ -129,9 +115,3 @@ def whole(text: str | int) -> int:
     except ValueError:
         remedy = "give digits only"
         raise typer.BadParameter(f"{text!r} is no whole number; {remedy}") from None
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
