@@ -180,16 +180,21 @@ def symmetric(entry: Callable[[int, int], Entry], size: int) -> Matrix:
 def split(array: Array) -> Matrix:
     """Returns the entries of an array [R, C], of many [N, R, C] each an array [N]."""
     # Row by row, as `dense` joins them: XLA then sees through the one and the other.
-    array = jnp.asarray(array)
-    rows = jax.lax.split(array, [1] * array.shape[-2], axis=array.ndim - 2)
-    return Matrix(scalars(row.reshape(*row.shape[:-2], -1)) for row in rows)
+    return Matrix(map(scalars, apart(array, -2)))
 
 
 def scalars(array: Array) -> list[Array]:
     """Returns the entries of an array [N], or along the last axis of a larger one."""
+    return apart(array, -1)
+
+
+def apart(array: Array, axis: int) -> list[Array]:
+    """Returns the parts of an array along an axis, which they no longer have."""
+    # A sum over one item, since `vmap` would have a squeeze move the batch axis.
     array = jnp.asarray(array)
-    parts = jax.lax.split(array, [1] * array.shape[-1], axis=array.ndim - 1)
-    return [x.reshape(x.shape[:-1]) for x in parts]
+    axis = axis % array.ndim
+    parts = jax.lax.split(array, [1] * array.shape[axis], axis=axis)
+    return [x.sum(axis) for x in parts]
 
 
 def column(array: Array) -> Matrix:
@@ -199,7 +204,8 @@ def column(array: Array) -> Matrix:
 
 def flat(matrix: Matrix | Array) -> Array:
     """Returns a matrix of one column, [N, 1], as an array [N]."""
-    return dense(matrix)[..., 0]
+    array = dense(matrix)
+    return array.sum(-1)
 
 
 def dense(matrix: Matrix | Array) -> Array:

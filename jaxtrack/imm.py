@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp
 
 from jaxtrack import kalman, linalg
-from jaxtrack.entries import dense, flat, scalars, split
+from jaxtrack.entries import apart, dense, flat, scalars, split
 from jaxtrack.linalg import safe_log
 from jaxtrack.mixture import moment_match
 from jaxtrack.types import Affine, Array, Gaussian, Mixture
@@ -94,14 +94,9 @@ def _mix_large(bank: Mixture, log_transition: Array) -> Mixture:
 
 def _modes(bank: Mixture) -> list[tuple[Any, Any]]:
     """Returns mean [D, 1] and covariance [D, D] of each mode, small ones by entries."""
-    num = len(bank.mean)
     both = linalg.column(bank.mean), linalg.entries(bank.cov)
-
-    def unstack(leaf: Array) -> list[Array]:
-        return [x.reshape(x.shape[1:]) for x in jax.lax.split(leaf, [1] * num)]
-
     leaves, layout = jax.tree.flatten(both)
-    modes = zip(*map(unstack, leaves), strict=True)
+    modes = zip(*(apart(leaf, 0) for leaf in leaves), strict=True)
     return [jax.tree.unflatten(layout, mode) for mode in modes]
 
 
