@@ -76,12 +76,12 @@ def test_arguments_with_different_numbers_of_runs_are_refused():
         engine.map_runs(walk, scale, start[:3], keys, in_axes=AXES, block=2)
 
 
-@pytest.mark.parametrize("runs", [1, 3, 127, 1000, 8192, 100_000])
+@pytest.mark.parametrize("runs", [1, 3, 127, 1000, 8192, 10_007, 100_000])
 @pytest.mark.parametrize("count", [1, 2, 8])
 @pytest.mark.parametrize("block", [1, 16, 1024])
 def test_blocks_hold_all_runs_and_few_more(runs, count, block):
     each, size = devices.blocks(runs, count, block)
-    assert size <= block
+    assert size <= block + devices.LANES - 1
     total = each * size * count
     assert runs <= total < 1.15 * runs + count * each
 

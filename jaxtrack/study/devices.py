@@ -121,25 +121,30 @@ def again(runs: PyTree, total: int) -> PyTree:
     count = jax.tree.leaves(runs)[0].shape[0]
     if count == total:
         return runs
-    order = np.arange(total) % count
-    return jax.tree.map(lambda x: x[order], runs)
+    whole, rest = divmod(total, count)
+    # Copied in pieces: picking them one by one would take as long as a Kalman filter.
+    return jax.tree.map(lambda x: jnp.concatenate([x] * whole + [x[:rest]]), runs)
 
 
 def blocks(runs: int, devices: int, block: int) -> tuple[int, int]:
     """Returns how many blocks each device works on, and how many runs each block has.
 
-    Blocks are equal and have about `block` runs at most; many runs are whole numbers of
-    lanes. Together they hold few runs more than there are.
+    Blocks are equal and have `block` runs at most. Where none down to half of that
+    divides the runs, the blocks together hold a few runs more than there are, and large
+    blocks are rounded up to whole numbers of lanes.
 
-        >>> blocks(10_000, devices=2, block=1024)
-        (5, 1008)
+        >>> blocks(10_000, devices=2, block=1024), blocks(10_007, 2, 1024)
+        ((5, 1000), (5, 1008))
     """
     each = -(-runs // devices)
-    count = -(-each // block)
-    size = -(-each // count)
+    least = -(-each // block)
+    for count in range(least, 2 * least + 1):
+        if runs % (count * devices) == 0:
+            return count, runs // (count * devices)
+    size = -(-each // least)
     if size >= 8 * LANES:
         size = -(-size // LANES) * LANES
-    return count, size
+    return least, size
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
