@@ -33,6 +33,8 @@ class Matrix:
         rows: Rows of Python numbers, and of arrays that broadcast to one shape.
     """
 
+    __array_priority__ = 100  # NumPy leaves array @ matrix and the like to us
+
     def __init__(self, rows: Iterable[Iterable[Entry]]) -> None:
         """Keeps the rows as tuples."""
         self.rows = tuple(tuple(row) for row in rows)

@@ -6,7 +6,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from reference.kalman import slopes, weighted_sum
 
-from jaxtrack import linalg
+from jaxtrack import entries, linalg
 
 SIZES = range(1, 9)  # both sides of linalg.UNROLL
 BOTH_SIDES = [2, linalg.UNROLL + 1]
@@ -118,6 +118,67 @@ def test_precision_of_the_arguments_is_kept(dtype):
     problem = [x.astype(dtype) for x in random_problem(3)]
     for result in everything(*problem).values():
         assert result.dtype == dtype
+
+
+@pytest.mark.parametrize("size", [1, 3, linalg.UNROLL])
+def test_matrices_by_entries_give_the_same(size):
+    cov, tall, wide = random_problem(size)
+
+    @jax.jit
+    def apart(cov, tall, wide):
+        cov, matrix = entries.split(cov), entries.split(tall)[:size]
+        right = entries.split(wide)
+        lower = linalg.cholesky(cov)
+        white = linalg.solve_lower(lower, linalg.column(wide[:, 0]))
+        told = {
+            "product": linalg.product(entries.split(wide), entries.split(wide.T)),
+            "congruence": linalg.congruence(entries.split(matrix), cov),
+            "cholesky": lower,
+            "solve": linalg.solve(lower, right),
+            "upper": linalg.solve_upper(lower, right),
+            "settle": linalg.settle(right),
+            "triangle": linalg.triangle(cov),
+        }
+        assert all(isinstance(x, entries.Matrix) for x in told.values())
+        return entries.arrays(told) | {"log_normal": linalg.log_white(white, lower)}
+
+    want = everything_by_numpy(cov, tall, wide)
+    want |= {"product": wide @ wide.T, "settle": wide, "triangle": cov}
+    want["congruence"] = tall[:size] @ cov @ tall[:size].T
+    got = apart(cov, tall, wide)
+    chex.assert_trees_all_close(got, {k: want[k] for k in got}, rtol=1e-10, atol=1e-10)
+
+
+def test_symmetric_is_the_mean_and_triangle_the_upper_one():
+    skew = jnp.array([[1.0, 2.0], [4.0, 3.0]])
+    for matrix in (skew, entries.split(skew)):
+        np.testing.assert_array_equal(linalg.symmetric(matrix), [[1, 3], [3, 3]])
+        np.testing.assert_array_equal(linalg.triangle(matrix), [[1, 2], [2, 3]])
+
+
+@pytest.mark.parametrize("size", BOTH_SIDES)
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_loosen_adds_a_few_roundings_to_each_variance(size, dtype):
+    cov = random_problem(size)[0].astype(dtype)
+    loose = entries.dense(linalg.loosen(linalg.entries(cov)))
+    added = np.asarray(loose - cov) / np.finfo(dtype).eps
+    np.testing.assert_array_equal(added[~np.eye(size, dtype=bool)], 0)
+    share = np.diag(added) / np.diag(cov)
+    assert (share > size).all()
+    assert (share < 4 * size).all()
+
+
+def test_settle_leaves_values_gradients_and_what_is_known():
+    @jax.jit
+    @jax.value_and_grad
+    def loss(x):
+        settled = linalg.settle(entries.Matrix([[0, x], [x, 1]]))
+        assert settled.rows[0][0] == 0
+        assert settled.rows[0][1] is settled.rows[1][0]
+        return settled.rows[0][1] ** 3
+
+    value, slope = loss(2.0)
+    assert (float(value), float(slope)) == (8.0, 12.0)
 
 
 def test_rows_puts_entries_where_they_are_written():

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtrack import kalman, linearize
+from jaxtrack import entries, kalman, linearize
 from jaxtrack.models import motion, sensor, turn
 from jaxtrack.types import Gaussian
 
@@ -299,3 +299,56 @@ def test_gradients_are_right(method):
     )
     along = sum((g * d).sum() for g, d in zip(slope, step, strict=True))
     np.testing.assert_allclose((ahead - behind) / 2e-5, along, rtol=1e-6)
+
+
+SPACE = sensor.AzimuthElevationRange(
+    np.array([0.01, 0.02, 3.0]), np.array([1.0, -2.0, 3.0]), np.array(0.3)
+)
+PLANE = (np.array([10.0, -20.0]), np.array(0.3))
+SENSORS = {
+    "position": (sensor.Position(np.ones(2)), 4),
+    "delayed": (sensor.Delayed(sensor.Position(np.ones(2)), np.array(0.7)), 4),
+    "range-bearing": (RADAR, 2),
+    "delayed radar": (sensor.Delayed(RADAR, np.array(0.7)), 4),
+    "rate": (sensor.RangeBearingRate(np.ones(3), *PLANE), 4),
+    "bearing": (sensor.BearingOnly(np.ones(1), *PLANE), 2),
+    "space": (SPACE, 3),
+}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_a_sensor_is_expanded_only_in_what_it_looks_at(name):
+    """As `taylor` of the whole state, with the zeros known; also one that is linear."""
+    looking, num_looked_at = SENSORS[name]
+    motion_model = motion.ConstantVelocity(np.ones(3 if name == "space" else 2))
+    mean = np.array([120.0, -3.0, 95.0, 2.0, 40.0, 1.0])[: motion_model.dim]
+    belief = Gaussian(mean, np.eye(motion_model.dim))
+
+    def measure(state):
+        return looking.measure(state[0::2], state[1::2])
+
+    @jax.jit
+    def both(belief):
+        got = linearize.sensor_affine(looking, motion_model, belief, linearize.taylor)
+        columns = got.matrix.T.rows
+        known = sum(all(isinstance(x, int) for x in column) for column in columns)
+        if not looking.linear:
+            assert known == motion_model.dim - num_looked_at
+        whole = linearize.taylor(measure, belief, looking.cov())
+        return entries.arrays((got, whole))
+
+    got, whole = both(belief)
+    chex.assert_trees_all_close(got, whole, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-9, 0.2, -3.0])
+def test_a_turn_is_expanded_as_by_autodiff(rate):
+    state = jnp.array([120.0, -30.0, 95.0, 20.0, rate])
+
+    @jax.jit
+    def both(state):
+        moved, matrix = TURN.expand(state, 1.5)
+        move = functools.partial(TURN.move, interval=1.5)
+        return (moved, entries.dense(matrix)), (move(state), jax.jacfwd(move)(state))
+
+    chex.assert_trees_all_close(*both(state), rtol=1e-12, atol=1e-12)
