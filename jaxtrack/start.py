@@ -68,9 +68,9 @@ def cache_folder(environment: Mapping[str, str]) -> pathlib.Path:
 def fusion() -> None:
     """Lets XLA compute several results in one loop on a CPU: experimental.
 
-    Good for code that is not written for XLA as it is, such as your own models: the
-    study of plain kernels found 1.2 to 1.9 times their speed. The library's own are
-    written to do without, and some are slower with it; measure.
+    Measured at the time of writing: gm-mm-cbmember runs 1.3 times as fast, an IMM
+    tracker as before, and the Kalman filter, which is written to do without, at 0.6 to
+    0.85 of its speed. XLA promises nothing about this flag, so measure your own work.
 
     Raises:
         RuntimeError: An array was made before, so XLA has read its flags.
