@@ -12,7 +12,6 @@ Reference: Pasha, Vo, Tuan and Ma, "A Gaussian mixture PHD filter for jump Marko
 models", IEEE Trans. Aerospace and Electronic Systems 45(3), 2009.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -110,60 +109,24 @@ def reduce(reduction: Reduction, log_weight: Array, mean: Array, cov: Array) -> 
     Args:
         reduction: How many stay.
         log_weight: Weights that sum to one over all modes, [M, C].
-        mean: [M, C, D].
-        cov: [M, C, D, D].
+        mean: [M, C, D], or [C, D] where the modes share the components.
+        cov: [M, C, D, D] or [C, D, D].
 
     Returns:
         The belief, with the share that found no room in `lost`.
     """
-    pruned = _prune(reduction, log_weight)
-    modes = Mixture(pruned, mean, cov)
-    cluster = jax.vmap(functools.partial(_clusters, reduction))(modes)
-    return _join(reduction, modes, cluster, 0)
-
-
-def mix(reduction: Reduction, log_weight: Array, mean: Array, cov: Array) -> Belief:
-    """Reduces components that all modes share, with a weight for each mode.
-
-    They are clustered once, by their weight over all modes, and each mode merges the
-    clusters by its own weights: its N components are those of N common clusters.
-
-    Args:
-        reduction: How many stay.
-        log_weight: Weights that sum to one over all modes, [M, C].
-        mean: [C, D].
-        cov: [C, D, D].
-
-    Returns:
-        As `reduce`.
-    """
-    pruned = _prune(reduction, log_weight)
-    everywhere = jax.vmap(mixture.total, 1)(pruned)
-    cluster = _clusters(reduction, Mixture(everywhere, mean, cov))
-    return _join(reduction, Mixture(pruned, mean, cov), cluster, None)
-
-
-def _prune(reduction: Reduction, log_weight: Array) -> Array:
+    size, threshold = reduction.max_components, reduction.merge_threshold
     heavy = jnp.exp(log_weight) >= reduction.prune_threshold
     pruned = jnp.where(heavy, log_weight, -jnp.inf)
-    return mixture.log_normalise(pruned.ravel()).reshape(pruned.shape)
+    pruned = mixture.log_normalise(pruned.ravel()).reshape(pruned.shape)
 
+    def in_mode(log_weight: Array, mean: Array, cov: Array) -> tuple[Mixture, Array]:
+        some = Mixture(log_weight, mean, cov)
+        return mixture.join(some, mixture.clusters(some, threshold, size), size)
 
-def _clusters(reduction: Reduction, some: Mixture) -> Array:
-    size, threshold = reduction.max_components, reduction.merge_threshold
-    return mixture.clusters(some, threshold, size)
-
-
-def _join(
-    reduction: Reduction, modes: Mixture, cluster: Array, axis: int | None
-) -> Belief:
-    """Merges clusters mode by mode; with axis None the modes share all but weights."""
-
-    def in_mode(log_weight: Array, *rest: Array) -> tuple[Mixture, Array]:
-        *moments, cluster = rest
-        some = Mixture(log_weight, *moments)
-        return mixture.join(some, cluster, reduction.max_components)
-
-    kept, lost = jax.vmap(in_mode, (0, axis, axis, axis))(*modes, cluster)
+    # Each mode makes clusters of its own even where they share the components: common
+    # ones are a tenth faster and a little worse.
+    shared = None if mean.ndim == 2 else 0
+    kept, lost = jax.vmap(in_mode, (0, shared, shared))(pruned, mean, cov)
     weight = jnp.exp(jax.vmap(mixture.total)(kept.log_weight))
     return Belief(*kept, lost=(weight * lost).sum())

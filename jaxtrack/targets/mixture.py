@@ -131,7 +131,7 @@ def _predict(
     # Equation 32: component (i, j) enters mode n with weight h(n | i) w(i, j).
     log_transition = params.switching.log_transition(interval)  # [left, entered]
     log_weight = alive.log_weight[None] + log_transition.T[:, :, None]
-    mixed = components.mix(
+    mixed = components.reduce(
         reduction,
         gaussians.log_normalise(log_weight.ravel()).reshape(log_weight.shape[0], -1),
         *(x.reshape(-1, *x.shape[2:]) for x in (belief.mean, belief.cov)),

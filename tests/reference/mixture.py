@@ -48,27 +48,17 @@ def prune(components, threshold):
     return scale(kept, before / weight_of(kept))
 
 
-def clusters(components, threshold):
-    """Lists of indices: the heaviest leads, those near it by their covariance join."""
-    rest = [k for k, c in enumerate(components) if c[0] > 0]
-    found = []
-    while rest:
-        leader = max(rest, key=lambda k: components[k][0])
-        near, far = [], []
-        for k in rest:
-            gap = components[k][1] - components[leader][1]
-            close = gap @ np.linalg.inv(components[k][2]) @ gap <= threshold
-            (near if close or k == leader else far).append(k)
-        found.append(near)
-        rest = far
-    return found
-
-
 def merge(components, threshold):
-    merged = []
-    for group in clusters(components, threshold):
-        near = [components[k] for k in group]
+    rest, merged = list(components), []
+    while rest:
+        leader = max(rest, key=lambda c: c[0])
+        near, far = [], []
+        for c in rest:
+            gap = c[1] - leader[1]
+            close = gap @ np.linalg.inv(c[2]) @ gap <= threshold
+            (near if close or c is leader else far).append(c)
         merged.append((weight_of(near), *moment_match(near)))
+        rest = far
     return merged
 
 
@@ -111,30 +101,6 @@ def reduce_modes(model, modes):
     return reduced, lost
 
 
-def reduce_shared(model, modes):
-    """As `reduce_modes` where all modes share their components, but not the weights.
-
-    The components are clustered by their weight over all modes, and each mode merges
-    the same clusters.
-    """
-    modes, _ = normalise(modes)
-    limit = model.prune_threshold
-    modes, _ = normalise(
-        [[(w if w >= limit else 0.0, m, P) for w, m, P in mode] for mode in modes]
-    )
-    everywhere = np.array([[w for w, _, _ in mode] for mode in modes]).sum(0)
-    shared = [(w, m, P) for w, (_, m, P) in zip(everywhere, modes[0], strict=True)]
-    groups = clusters(shared, model.merge_threshold)[: model.max_components]
-    reduced, lost = [], 0.0
-    for mode in modes:
-        parts = [[mode[k] for k in group if mode[k][0] > 0] for group in groups]
-        merged = [(weight_of(part), *moment_match(part)) for part in parts if part]
-        before, after = weight_of(mode), weight_of(merged)
-        reduced.append(scale(merged, before / after) if before else [])
-        lost += before - after
-    return reduced, lost
-
-
 def predict(model, belief):
     """Eq. 31 and 32: returns the belief and the probability to survive."""
     modes, _ = belief
@@ -142,10 +108,10 @@ def predict(model, belief):
     alive = [scale(mode, model.survive[n]) for n, mode in enumerate(modes)]
     _, survived = normalise(alive)
     entered = [
-        [c for i in range(num) for c in scale(alive[i], model.p[i, j])]
+        [c for i in range(num) for c in scale(alive[i], model.p[i, j]) if c[0] > 0]
         for j in range(num)
     ]
-    reduced, lost = reduce_shared(model, entered)
+    reduced, lost = reduce_modes(model, entered)
     moved = [
         [(w, *book.predict(m, P, model.F[n], 0, model.Q[n])) for w, m, P in mode]
         for n, mode in enumerate(reduced)
