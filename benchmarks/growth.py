@@ -16,8 +16,8 @@ from jaxtrack import engine, scenarios
 KIND = "float32"
 RUNS = (1, 10, 100, 1_000, 10_000, 100_000)
 PAIRS = ((16, 30), (128, 30), (1024, 30), (8192, 30), (400, 1), (400, 10), (400, 100))
-GAUSSIANS = (3, 6, 12, 24)  # a track
-CLUTTER = (5, 20, 80, 320)  # false detections a scan
+GAUSSIANS = (3, 8, 24)  # a track
+CLUTTER = (5, 40, 320)  # false detections a scan
 TRACKED = 8  # runs of a tracker
 CHECKED = 1_000  # runs that are checked
 

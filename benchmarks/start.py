@@ -21,8 +21,8 @@ from jaxtrack import engine
 from jaxtrack.types import Gaussian
 
 KIND = "float32"
-ROUNDS = 2
-WORKS = ("Kalman filter, models", "study of 10 runs, imm-mm-cbmember")
+FILTER, STUDY = "Kalman filter, models", "study of 10 runs, imm-mm-cbmember"
+ROUNDS = {FILTER: 3, STUDY: 1}
 KEEP_ALL = {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
@@ -35,7 +35,7 @@ def serve(work: str, runs: int, scans: int) -> None:
     common.pin()
     problem = problems.linear(runs, scans).to(KIND)
     begin = time.process_time()
-    if work == WORKS[0]:
+    if work == FILTER:
         shared = kalman.models()
         many = jax.jit(common.many(kalman.model_log_likelihood, len(shared)))
         prior = Gaussian(problem.mean, problem.cov)
@@ -59,10 +59,10 @@ def seconds(work: str, size: Size, cache: str) -> list[float]:
 def rows(size: Size) -> list[Row]:
     """Answers the question."""
     made, imports = [], []
-    works = WORKS[:1] if size == common.QUICK else WORKS
-    for work in works:
+    works = {FILTER: 1} if size == common.QUICK else ROUNDS
+    for work, rounds in works.items():
         cold, warm = [], []
-        for _ in range(min(size.rounds, ROUNDS)):
+        for _ in range(rounds):
             with tempfile.TemporaryDirectory() as cache:
                 for kept in cold, warm:
                     imported, first = seconds(work, size, cache)

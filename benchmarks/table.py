@@ -5,15 +5,18 @@
 ('12,300', '0.123')
 """
 
+import itertools
 import json
 import math
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 HERE = pathlib.Path(__file__).parent
 LATEST = HERE / "results" / "latest.json"
 README = HERE.parent / "README.md"
 BEGIN, END = "<!-- benchmarks -->\n", "<!-- end of benchmarks -->\n"
+Row = dict[str, Any]  # of the results
 UNITS = {"G": 1e9, "M": 1e6, "k": 1e3}
 
 
@@ -33,13 +36,19 @@ def rate(value: float, unit: str) -> str:
     return f"{number(value)} {unit}"
 
 
-def line(row: dict[str, Any]) -> str:
-    """Returns one line of the table."""
-    peer = f"{number(row['ratio_to_peer'])} x {row['peer']}" if row["peer"] else ""
+def line(rows: Sequence[Row]) -> str:
+    """Returns one line of the table, of rows that differ in their peers only."""
+    row, pairs = rows[0], [(x["peer"], x["ratio_to_peer"]) for x in rows]
+    beside = ", ".join(f"{number(ratio)} x {peer}" for peer, ratio in pairs if peer)
     limit = number(row["ratio_to_limit"]) if row["limit"] else ""
     bits = row["precision"].removeprefix("float")
-    cells = row["work"], bits, rate(row["rate"], row["unit"]), peer, limit
+    cells = row["work"], bits, rate(row["rate"], row["unit"]), beside, limit
     return f"| {' | '.join(cells)} |"
+
+
+def same(row: Row) -> tuple[str, ...]:
+    """Returns what is equal in rows that differ in their peers only."""
+    return row["work"], row["precision"], row["unit"]
 
 
 def table(results: dict[str, Any]) -> str:
@@ -47,7 +56,8 @@ def table(results: dict[str, Any]) -> str:
     made = results["made_with"]
     versions = ", ".join(f"{name} {x}" for name, x in made["versions"].items())
     head = ["| work | bits | rate | beside | share of C |", "|---|---|---|---|---|"]
-    lines = [line(row) for row in results["rows"] if row["benchmark"] != "growth"]
+    shown = [row for row in results["rows"] if row["benchmark"] != "growth"]
+    lines = [line(list(rows)) for _, rows in itertools.groupby(shown, same)]
     text = "\n".join([*head, *lines])
     return f"{text}\n\nMade on {made['cpu']}, with {versions}.\n"
 

@@ -41,7 +41,7 @@ def test_benchmark_fills_its_rows(name, monkeypatch):
         assert row["rate"] > 0
         assert (row["peer"] is None) == (row["ratio_to_peer"] is None)
         assert (row["limit"] is None) == (row["ratio_to_limit"] is None)
-        assert table.line(row).count("|") == 6
+        assert table.line([row]).count("|") == 6
 
 
 @pytest.mark.parametrize("name", ["common", "climit", "peers", "problems", "table"])
@@ -81,9 +81,10 @@ def test_no_two_runs_share_a_prior_covariance():
 
 def test_table_is_pasted_between_its_marks(tmp_path, monkeypatch):
     row = common.Row("a filter", "float32", 1234567.0, "steps/s", "a peer", 12.345)
+    other = row._replace(peer="another", ratio_to_peer=0.5)
     results = {
         "made_with": {"cpu": "a processor", "versions": {"jax": "1.0"}},
-        "rows": [{"benchmark": "kalman", **row._asdict()}],
+        "rows": [{"benchmark": "kalman", **x._asdict()} for x in (row, other)],
     }
     latest, readme = tmp_path / "latest.json", tmp_path / "README.md"
     latest.write_text(json.dumps(results))
@@ -94,5 +95,5 @@ def test_table_is_pasted_between_its_marks(tmp_path, monkeypatch):
     text = readme.read_text()
     assert text.startswith(f"before\n{table.BEGIN}")
     assert text.endswith(f"{table.END}after\n")
-    assert "| a filter | 32 | 1.23 M steps/s | 12.3 x a peer |  |" in text
+    assert "| 1.23 M steps/s | 12.3 x a peer, 0.500 x another |  |" in text
     assert "old" not in text
