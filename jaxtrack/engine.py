@@ -78,8 +78,8 @@ def map_runs(
         What the function returns, with a leading R.
 
     Raises:
-        ValueError: An axis is neither 0 nor None, no argument has runs, or they differ
-            in their number.
+        ValueError: An axis is neither 0 nor None, no argument has runs, they differ
+            in their number, or the block is empty.
     """
     axes = (
         list(in_axes) if isinstance(in_axes, Sequence) else [in_axes] * len(arguments)
@@ -89,9 +89,11 @@ def map_runs(
             f"in_axes is {in_axes}; give 0 or None for each of the {len(arguments)} "
             "arguments, and 0 for at least one"
         )
+    if block < 1:
+        raise ValueError(f"block is {block}; give at least 1 run")
     own = tuple(axis == 0 for axis in axes)
     runs = [x for x, mine in zip(arguments, own, strict=True) if mine]
-    numbers = sorted({len(x) for x in jax.tree.leaves(runs)})
+    numbers = sorted({(*jnp.shape(x), 0)[0] for x in jax.tree.leaves(runs)})
     if len(numbers) != 1 or not numbers[0]:
         raise ValueError(
             f"the arguments are of {', '.join(map(str, numbers))} runs; give as "

@@ -13,9 +13,11 @@ pytree of the entries that are not known: `vmap`, `scan` and `grad` take it as i
     (0, 1) [4. 2.]
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +46,11 @@ class Matrix:
         """Returns the shape as an array; many matrices have a leading axis."""
         leaves = (jnp.shape(x) for row in self.rows for x in row)
         return (*np.broadcast_shapes(*leaves), len(self.rows), len(self.rows[0]))
+
+    @property
+    def size(self) -> int:
+        """Returns the number of entries as an array."""
+        return math.prod(self.shape)
 
     @property
     def ndim(self) -> int:
@@ -110,9 +117,27 @@ class Matrix:
         """Returns the difference of an array from this one."""
         return other - dense(self)
 
-    def __mul__(self, scalar: Entry) -> "Matrix":
-        """Returns the matrix times a scalar."""
-        return Matrix([times(x, scalar) for x in row] for row in self.rows)
+    def __mul__(self, other: Any) -> Any:
+        """Returns the matrix times a scalar, or entry by entry times an array."""
+        if jnp.ndim(other) > 0:
+            return dense(self) * other
+        return Matrix([times(x, other) for x in row] for row in self.rows)
+
+    def __rmul__(self, other: Any) -> Any:
+        """Returns a scalar or an array times the matrix."""
+        return self * other
+
+    def __truediv__(self, other: Any) -> Any:
+        """Returns the matrix over a scalar, or entry by entry over an array."""
+        return dense(self) / other if jnp.ndim(other) > 0 else self.over(other)
+
+    def __neg__(self) -> "Matrix":
+        """Returns the matrix with all signs turned."""
+        return self * -1.0
+
+    def over(self, scalar: Entry) -> "Matrix":
+        """Returns the matrix over a scalar, or over one for each of many matrices."""
+        return Matrix([over(x, scalar) for x in row] for row in self.rows)
 
     def tree_flatten(self) -> tuple[list[Array], tuple]:
         """Returns the entries that are not known, and where the others stand."""
@@ -136,7 +161,7 @@ def _entrywise(entry: Callable, array: Callable, left: Matrix, right: Any) -> An
     if not isinstance(right, Matrix):
         return array(dense(left), right)
     pairs = zip(left.rows, right.rows, strict=True)
-    return Matrix(map(entry, *pair) for pair in pairs)
+    return Matrix([entry(x, y) for x, y in zip(*pair, strict=True)] for pair in pairs)
 
 
 def plus(left: Entry, right: Entry) -> Entry:
@@ -207,6 +232,7 @@ def column(array: Array) -> Matrix:
 def flat(matrix: Matrix | Array) -> Array:
     """Returns a matrix of one column, [N, 1], as an array [N]."""
     array = dense(matrix)
+    chex.assert_axis_dimension(array, -1, 1)
     return array.sum(-1)
 
 

@@ -25,7 +25,7 @@ from jax.scipy.special import logsumexp
 from jaxtrack import kalman, linalg
 from jaxtrack.entries import apart, dense, flat, scalars, split
 from jaxtrack.linalg import safe_log
-from jaxtrack.mixture import moment_match
+from jaxtrack.mixture import log_normalise, moment_match
 from jaxtrack.types import Affine, Array, Gaussian, Mixture
 
 
@@ -112,7 +112,7 @@ def _normalise(log_weight: Sequence[Array], fallback: int) -> tuple[Array, list[
     Where all are -inf the fallback has the whole share, and gradients are finite.
     """
     top = jax.lax.stop_gradient(functools.reduce(jnp.maximum, log_weight))
-    some = top > -jnp.inf
+    some = top != -jnp.inf
     weight = [jnp.exp(x - jnp.where(some, top, 0.0)) for x in log_weight]
     size = jnp.where(some, functools.reduce(operator.add, weight), 1.0)
     share = [
@@ -150,7 +150,8 @@ def predict(bank: Mixture, motions: Sequence[Affine]) -> Mixture:
     Returns:
         The predicted bank, same shapes and weights.
     """
-    moved = map(kalman.predict, _beliefs(bank), motions)
+    pairs = zip(_beliefs(bank), motions, strict=True)
+    moved = [kalman.predict(belief, motion) for belief, motion in pairs]
     return _bank(bank.log_weight, [_entries(belief) for belief in moved])
 
 
@@ -181,10 +182,10 @@ def update(
         x + y for x, (_, y) in zip(scalars(bank.log_weight), updated, strict=True)
     ]
     before, _ = _normalise(scalars(bank.log_weight), 0)
-    log_total, weight = _normalise(log_weight, 0)
+    log_total, _ = _normalise(log_weight, 0)
     log_evidence = log_total - jnp.where(before > -jnp.inf, before, 0.0)
     posterior = [_entries(belief) for belief, _ in updated]
-    return _bank(safe_log(jnp.stack(weight)), posterior), log_evidence
+    return _bank(log_normalise(jnp.stack(log_weight)), posterior), log_evidence
 
 
 def _beliefs(bank: Mixture) -> list[Gaussian]:

@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
-from jaxtrack.entries import dense, flat
+from jaxtrack.entries import Matrix, dense, flat
 from jaxtrack.types import Affine, Array, Gaussian
 
 
@@ -80,10 +80,12 @@ def update(
     """Conditions a belief on one detection.
 
     With S = L L' the covariance of the detection it is mean + W' L^-1 (z - H m) and
-    P - W' W, W = L^-1 H P. What rounding can take from P is added beforehand
-    (`linalg.loosen`), so that float32 cannot make it indefinite. (A predicted
-    covariance that is singular to rounding still can, as after a first detection 1e7
-    times more precise than where the prior's velocity leads; then use float64.)
+    P - W' W, W = L^-1 H P. What the difference can lose by rounding is added beforehand
+    (`linalg.loosen`). In float32 that keeps the covariance positive definite while the
+    prior's variances are up to some ten thousand times the sensor's. Beyond, it may be
+    lost where several precise outputs see strongly correlated components, or after a
+    first detection 1e7 times more precise than where the prior's velocity leads; then
+    use float64.
 
     Args:
         belief: mean [D], cov [D, D].
@@ -123,11 +125,12 @@ def log_density(
 
 
 def blind(sensor: Affine, detection: Array, detected: Array) -> tuple[Affine, Array]:
-    """Makes a sensor see nothing in a scan without detection.
+    """Makes a sensor harmless in a scan without detection.
 
     An update with what comes back has finite values and gradients, even if the
-    arguments held NaN. If the matrix was an array it leaves the belief as it is, but
-    for rounding; a `Matrix` keeps the entries that are known.
+    arguments held NaN. If the matrix was an array the sensor sees nothing, and the
+    update leaves the belief as it is, but for rounding; a `Matrix` keeps the entries
+    that are known, so leave out what the update returns, as `filter` does.
 
     Args:
         sensor: matrix [Z, D], offset [Z], cov [Z, Z].
@@ -135,8 +138,8 @@ def blind(sensor: Affine, detection: Array, detected: Array) -> tuple[Affine, Ar
         detected: Whether there was one (a bool scalar).
 
     Returns:
-        Sensor and detection; unchanged if there was one, otherwise a zero matrix with
-        unit noise, and zeros.
+        Sensor and detection; unchanged if there was one, otherwise a matrix of zeros
+        (and of what is known) with unit noise, and zeros.
     """
     unit = jnp.eye(detection.size, dtype=sensor.cov.dtype)
     blinded = Affine(
@@ -246,6 +249,7 @@ def smooth(filtered: Filtered, motions: Affine) -> Gaussian:
     Returns:
         The beliefs at each scan given all scans, mean [T, D], cov [T, D, D].
     """
+    motions = stacked(motions)
     chex.assert_equal_shape([motions.matrix, filtered.filtered.cov])
     before, last = split_last(filtered.filtered)
     after = jax.tree.map(lambda x: x[1:], (motions, filtered.predicted))
@@ -257,6 +261,17 @@ def smooth(filtered: Filtered, motions: Affine) -> Gaussian:
 
     smoothed = jax.lax.scan(step, last, (before, after), reverse=True)[1]
     return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), smoothed, last)
+
+
+def stacked(models: Affine) -> Affine:
+    """Returns affine models of T scans as arrays, also where no entry has a T."""
+    num, size = models.offset.shape
+
+    def full(matrix: Array | Matrix, width: int) -> Array:
+        return jnp.broadcast_to(dense(matrix), (num, size, width))
+
+    width = models.matrix.shape[-1]
+    return Affine(full(models.matrix, width), models.offset, full(models.cov, size))
 
 
 def split_last(beliefs: Gaussian) -> tuple[Gaussian, Gaussian]:

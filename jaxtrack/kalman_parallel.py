@@ -31,7 +31,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import kalman, linalg
-from jaxtrack.entries import arrays
 from jaxtrack.kalman import Filtered
 from jaxtrack.types import Affine, Array, Gaussian
 
@@ -134,7 +133,7 @@ def filter(
     Returns:
         The beliefs before and after each scan, and the log-densities.
     """
-    motions, sensors = arrays((motions, sensors))
+    motions, sensors = kalman.stacked(motions), kalman.stacked(sensors)
     seen = jax.vmap(kalman.blind)(sensors, detections, detected)
     segments = jax.vmap(segment)(*jax.tree.map(lambda x: x[:-1], (motions, *seen)))
     zero = jnp.zeros_like(prior.cov)
@@ -158,7 +157,7 @@ def smooth(filtered: Filtered, motions: Affine) -> Gaussian:
     Returns:
         The beliefs at each scan given all scans, mean [T, D], cov [T, D, D].
     """
-    motions = arrays(motions)
+    motions = kalman.stacked(motions)
     before, last = kalman.split_last(filtered.filtered)
     motion, predicted = jax.tree.map(lambda x: x[1:], (motions, filtered.predicted))
     gain, left = jax.vmap(kalman.turn_back)(before, motion, predicted)

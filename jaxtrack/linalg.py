@@ -21,7 +21,16 @@ import chex
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 
-from jaxtrack.entries import Matrix, dense, dot, flat, minus, over, plus, split
+from jaxtrack.entries import (
+    Matrix,
+    dense,
+    dot,
+    flat,
+    minus,
+    over,
+    plus,
+    split,
+)
 from jaxtrack.entries import column as one_column
 from jaxtrack.entries import symmetric as one_triangle
 from jaxtrack.types import Array
@@ -199,7 +208,7 @@ def log_white(white: Array | Matrix, lower: Array | Matrix) -> Array:
     else:
         values, factor = entries(white).T.rows[0], entries(lower).rows
         square = dot(values, values)
-        scale = jnp.log(math.prod(factor[i][i] for i in range(size)))
+        scale = sum(jnp.log(factor[i][i]) for i in range(size))
     return -square / 2 - scale - size * math.log(math.tau) / 2
 
 

@@ -34,7 +34,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
-from jaxtrack.entries import Matrix, scalars
+from jaxtrack.entries import Matrix, plus, scalars
 from jaxtrack.types import Affine, Array, Gaussian
 
 Function = Callable[[Array], Array]
@@ -195,7 +195,8 @@ def _expand_sensor(sensor: Any, motion: Any, belief: Gaussian) -> Affine:
             step = [jnp.zeros_like(x) for x in parts]
             step[part] = step[part].at[axis].set(1.0)
             slope = jax.jvp(sensor.measure, tuple(parts), tuple(step))[1]
-            columns[component] = scalars(slope)
+            both = zip(columns[component], scalars(slope), strict=True)
+            columns[component] = [plus(x, y) for x, y in both]
     matrix = linalg.settle(Matrix(columns).T)
     return Affine(matrix, expected - matrix @ belief.mean, sensor.cov())
 

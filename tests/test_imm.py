@@ -217,3 +217,29 @@ def test_update_with_impossible_mode_has_finite_gradients():
         return log_density + collapse(posterior).mean.sum()
 
     chex.assert_tree_all_finite(loss((bank, sensors, jnp.array([0.1, 0.4]))))
+
+
+def test_a_mode_that_one_detection_rules_out_can_come_back():
+    """Log-weights hundreds of nats apart are kept, not rounded to nothing."""
+    bank = Mixture(jnp.log(jnp.array([0.5, 0.5])), jnp.array([[0.0], [50.0]]), ONE)
+    sensors = Affine(ONE, jnp.zeros((2, 1)), ONE)
+    log_total = 0.0
+    for z in (0.0, 75.0):
+        bank, log_density = update(bank, sensors, jnp.array([z]))
+        log_total += log_density
+    gap = np.diff(np.asarray(bank.log_weight))[0]
+    # Sum of both surprises in each mode: N(z; 0, 2), then N(z; z/2, 1.5).
+    first = -(50.0**2) / 4 - (-0.0)
+    second = -((75 - 25) ** 2) / 3 + (75.0 - 0.0) ** 2 / 3
+    np.testing.assert_allclose(gap, first + second, rtol=1e-12)
+    assert np.isfinite(log_total)
+
+
+def test_predict_wants_a_motion_for_each_mode():
+    bank, _ = random_bank(1)
+    motions, _ = random_models(1)
+    with pytest.raises(ValueError, match="shorter"):
+        imm.predict(bank, apart(motions)[:2])
+
+
+ONE = jnp.ones((2, 1, 1))

@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from reference import kalman as book
 
-from jaxtrack import kalman
+from jaxtrack import entries, kalman, kalman_parallel
 from jaxtrack.kalman import Filtered
 from jaxtrack.types import Affine, Gaussian
 
@@ -250,3 +250,52 @@ def test_filter_names_the_shape_it_wanted():
     short = jax.tree.map(lambda x: x[1:], motions)
     with pytest.raises(AssertionError, match=r"\(11, 4\) but expected \(12, 4\)"):
         kalman.filter(prior, short, *rest)
+
+
+def test_random_outputs_leave_float32_positive_definite():
+    """Two outputs of all components, a prior ten thousand times less certain."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(500, 4, 4)) * 100 + 30 * np.eye(4)
+    cov = (root @ root.transpose(0, 2, 1)).astype(np.float32)
+    matrix = rng.normal(size=(500, 2, 4)).astype(np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def one(cov, matrix):
+        sensor = Affine(matrix, jnp.zeros(2, cov.dtype), jnp.eye(2, dtype=cov.dtype))
+        prior = Gaussian(jnp.zeros(4, cov.dtype), cov)
+        return kalman.update(prior, sensor, jnp.ones(2, cov.dtype))[0].cov
+
+    after = np.asarray(one(cov, matrix), np.float64)
+    assert after.dtype == np.float64
+    scale = np.sqrt(np.diagonal(cov, axis1=1, axis2=2).astype(float))
+    scaled = after / scale[:, :, None] / scale[:, None, :]
+    assert np.linalg.eigvalsh(scaled).min() > 0
+
+
+@pytest.mark.parametrize("form", ["array", "known"])
+def test_one_sensor_and_motion_serve_all_scans(form):
+    """A matrix that is known has no axis over time; smoothers take it, too."""
+    prior, motions, sensors, detections, detected = book.random_track(0)
+    num = len(detections)
+    same = [np.eye(4), np.eye(2, 4)]
+    known = [entries.Matrix(x.astype(int).tolist()) for x in same]
+    many = [np.tile(x, (num, 1, 1)) for x in same]
+    motion, sensor = known if form == "known" else many
+    motions = motions._replace(matrix=motion)
+    sensors = sensors._replace(matrix=sensor)
+    given = prior, motions, sensors, detections, detected
+    expected = kalman.filter(
+        prior,
+        motions._replace(matrix=many[0]),
+        sensors._replace(matrix=many[1]),
+        detections,
+        detected,
+    )
+    for module in (kalman, kalman_parallel):
+        filtered = jax.jit(module.filter)(*given)
+        chex.assert_trees_all_close(filtered, expected, rtol=1e-6, atol=1e-6)
+        smoothed = jax.jit(module.smooth)(filtered, motions)
+        np.testing.assert_allclose(
+            smoothed.mean[-1], expected.filtered.mean[-1], rtol=1e-6, atol=1e-6
+        )

@@ -196,3 +196,9 @@ def test_safe_log_is_minus_infinity_with_zero_slope_where_nothing_is():
     value, slope = jax.vmap(jax.value_and_grad(linalg.safe_log))(values)
     chex.assert_trees_all_close(value, jnp.array([np.log(2.0), 0.0, -np.inf]))
     chex.assert_trees_all_close(slope, jnp.array([0.5, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize("scale", [1e-90, 1e90])
+def test_densities_do_not_overflow(scale):
+    got = linalg.log_normal(jnp.zeros(5), scale * jnp.eye(5))
+    np.testing.assert_allclose(got, -5 * np.log(scale * np.sqrt(2 * np.pi)))

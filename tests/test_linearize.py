@@ -352,3 +352,40 @@ def test_a_turn_is_expanded_as_by_autodiff(rate):
         return (moved, entries.dense(matrix)), (move(state), jax.jacfwd(move)(state))
 
     chex.assert_trees_all_close(*both(state), rtol=1e-12, atol=1e-12)
+
+
+class Strange:
+    """A user's own motion: both indices name the first component."""
+
+    position_index = velocity_index = (0,)
+
+
+def test_a_component_may_be_position_and_velocity_at_once():
+    class Both:
+        linear = False
+
+        def measure(self, position, velocity):
+            return position**2 + 3 * velocity
+
+        def cov(self):
+            return jnp.eye(1)
+
+    belief = Gaussian(jnp.array([1.0, 7.0]), jnp.eye(2))
+    got = linearize.sensor_affine(Both(), Strange(), belief, linearize.taylor)
+    np.testing.assert_array_equal(np.asarray(got.matrix), [[5.0, 0.0]])
+
+
+def test_a_linear_sensor_may_scale_and_subtract():
+    class Scaled:
+        linear = True
+
+        def measure(self, position, velocity):
+            return -(2.0 * position / 4 - velocity)
+
+        def cov(self):
+            return jnp.eye(2)
+
+    belief = Gaussian(jnp.arange(4.0), jnp.eye(4))
+    got = linearize.sensor_affine(Scaled(), STRAIGHT, belief, linearize.taylor)
+    want = [[-0.5, 1, 0, 0], [0, 0, -0.5, 1]]
+    np.testing.assert_array_equal(np.asarray(got.matrix), want)

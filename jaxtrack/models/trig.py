@@ -87,7 +87,7 @@ def sincos(angle: Array) -> tuple[Array, Array]:
     Returns:
         Sine and cosine, each of the angle's shape and type.
     """
-    angle = jnp.asarray(angle)
+    angle = jnp.asarray(angle, jnp.result_type(angle, float))
     bits = _bits(angle)
     turns = jnp.round(angle * (2 / math.pi))
     rest = angle
@@ -128,7 +128,8 @@ def atan2(y: Array, x: Array) -> Array:
         rad in [-pi, pi]. On the axes and for zeros as `numpy.arctan2`, so 0 or pi with
         a sign for (0, 0), and there the gradient is 0. If both are infinite, NaN.
     """
-    y, x = jnp.asarray(y), jnp.asarray(x)
+    dtype = jnp.result_type(y, x, float)
+    y, x = jnp.asarray(y, dtype), jnp.asarray(x, dtype)
     bits = _bits(y * x)
     high, wide = jnp.abs(y), jnp.abs(x)
     near, far = jnp.minimum(high, wide), jnp.maximum(high, wide)

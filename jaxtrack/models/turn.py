@@ -207,5 +207,5 @@ class ForgottenTurn(NamedTuple):
 def _extend(matrix: Matrix, corner: Array | int) -> Matrix:
     """Returns a matrix [D, D] with a last row and column, zero but for the corner."""
     size = len(matrix)
-    entries = [[*row, 0] for row in matrix.rows]
+    entries = [[*row, 0] for row in linalg.entries(matrix).rows]
     return Matrix([*entries, [0] * size + [corner]])

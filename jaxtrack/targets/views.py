@@ -66,7 +66,10 @@ def see(prior: Gaussian, sensor: Affine) -> Sight:
     expected = matrix @ prior.mean + offset
     lower = linalg.cholesky(linalg.congruence(matrix, prior.cov) + noise)
     identity = jnp.eye(expected.size, dtype=expected.dtype)
-    posterior, log_scale = kalman.update(prior, sensor, expected)
+    # No surprise, to the last bit: what is left is the scale.
+    posterior, log_scale = kalman.update(
+        prior, sensor, expected, residual=lambda z, _: jnp.zeros_like(z)
+    )
     return Sight(
         expected=expected,
         whitening=linalg.solve_lower(lower, identity),
