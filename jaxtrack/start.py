@@ -4,8 +4,8 @@ The command line does the first two by itself. In Python, call what you want bef
 first array is made:
 
     >>> from jaxtrack import start
-    >>> start.cache_folder({"XDG_CACHE_HOME": "/tmp/mine"}).as_posix()
-    '/tmp/mine/jaxtrack/jax'
+    >>> start.cache_folder({"XDG_CACHE_HOME": "/data"}).as_posix()
+    '/data/jaxtrack/jax'
 """
 
 import contextlib

@@ -67,6 +67,7 @@ def test_rivals_with_one_alias_are_told_apart():
 def test_merging_joins_only_what_is_near_and_of_one_label():
     tracks = tracks_of([0.5, 0.4, 0.3, 0.2], [1, 1, 1, 2], place=[0.0, 2.0, 90.0, 0.0])
     merged = merge(TARGET, tracks, 4.0)
+    # Zeros need an absolute bound; 1e-12 is rounding.
     np.testing.assert_allclose(merged.existence_prob, [0.9, 0.3, 0.2, 0.0], atol=1e-12)
     assert merged.label[:3].tolist() == [1, 1, 2]
     # The pair in proportion 5 to 4: mean 8/9, and the spread of the means is kept.
@@ -105,6 +106,7 @@ def test_births_keep_the_likeliest_and_count_the_rest(num_births):
         driven, PARAMS, scan, unexplained, num_births
     )
     prob = [0.15, 0.05, 0.0, 0.0, 0.0][:num_births]
+    # Zeros need an absolute bound; 1e-12 is rounding.
     np.testing.assert_allclose(births.existence_prob, prob, atol=1e-12)
     np.testing.assert_allclose(births.mean[:2, 0], [2.0, 1.0])
     np.testing.assert_allclose(lost, 0.0, atol=1e-12)
