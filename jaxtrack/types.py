@@ -62,7 +62,7 @@ class Scan(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: eleven functions.
+    """The belief about one target, as a tracker sees it: fourteen functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -76,6 +76,9 @@ class Target(NamedTuple):
             scoring and correcting need and no detection changes, worked out once.
         score: (params, view, detections[K, Z]) -> log_prob[K]. It was detected, here;
             the probability of detection is inside.
+        distance: (params, view, detections[K, Z]) -> (square[K], log_det[K]). How far
+            from the expected detection, in squared Mahalanobis distance, and the
+            log-determinant of the innovation covariance that this is measured by.
         correct: (params, view, detection[Z]) -> belief. Given such a detection.
         collapse: (log_weight[N], beliefs[N, ...]) -> belief. One for a weighted many;
             the weights need not be normalised, -inf marks an empty slot, and if all
@@ -83,6 +86,13 @@ class Target(NamedTuple):
         absorb: (params, log_weight[N], views[N, ...], detection[Z]) -> belief. One for
             a weighted many that claim the detection: each corrected, then all
             collapsed.
+        blend: (params, view, missed, log_weight[K + 1], detections[K, Z]) -> belief.
+            One whose detection is uncertain: k with weight k, or none with the last
+            weight, where it is `missed` (what `miss` gave). If all weights are empty
+            it was missed.
+        adapt: (params, belief) -> belief. Called once a scan on the belief that came of
+            it: what may change once all of the scan is known, such as the set of
+            active modes.
         moments: (belief) -> Gaussian. Mean and covariance over all modes.
         modes: (belief) -> mode_prob[M]. One if there is a single mode.
         lost: (belief) -> scalar. Share of the belief's mass that its capacities threw
@@ -94,9 +104,12 @@ class Target(NamedTuple):
     miss: Callable[..., tuple[PyTree, Array]]
     look: Callable[..., PyTree]
     score: Callable[..., Array]
+    distance: Callable[..., tuple[Array, Array]]
     correct: Callable[..., PyTree]
     collapse: Callable[..., PyTree]
     absorb: Callable[..., PyTree]
+    blend: Callable[..., PyTree]
+    adapt: Callable[..., PyTree]
     moments: Callable[[PyTree], Gaussian]
     modes: Callable[[PyTree], Array]
     lost: Callable[[PyTree], Array]

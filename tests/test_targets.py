@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import slopes
-from cases.stories import BELIEFS, alone, in_float32, story, told
+from cases.stories import BELIEFS, alone, blend_weight, in_float32, story, told
 from cases.targets import CASES, NUM, SECOND_VARIANTS, SWITCHING, base_inputs, case_of
 from reference import mixture as mixture_book
 
@@ -128,6 +128,50 @@ def test_collapse_of_nobody_is_the_first(name):
     chex.assert_tree_all_finite(brief)
     first = jax.tree.map(lambda x: x[0], brief["corrected"])
     chex.assert_trees_all_close(brief["collapsed"][:2], first[:2], rtol=1e-9)
+
+
+@every_target
+def test_blend_keeps_the_moments_of_the_pool(name):
+    """Corrected by each detection, or missed, as likely as the weights say."""
+    brief = told(name).variant["base"].brief
+    belief, modes, lost = brief["blended"]
+    weight = np.exp(np.array(blend_weight(base_inputs(name))))
+    missed, missed_modes, _ = brief["missed"]
+    pool, pool_modes, _ = brief["corrected"]
+    means = np.concatenate([pool.mean, missed.mean[None]])
+    covs = np.concatenate([pool.cov, missed.cov[None]])
+    mean, cov = mixture_book.moment_match(list(zip(weight, means, covs, strict=True)))
+    np.testing.assert_allclose(lost, 0, atol=1e-15)  # one minus a sum, to a rounding
+    np.testing.assert_allclose(belief.mean, mean, rtol=1e-9)
+    np.testing.assert_allclose(belief.cov, cov, rtol=1e-9)
+    every = np.concatenate([pool_modes, missed_modes[None]])
+    np.testing.assert_allclose(modes, weight / weight.sum() @ every, rtol=1e-9)
+
+
+@every_target
+def test_blend_of_nobody_is_missed(name):
+    brief = told(name).variant["nobody"].brief
+    chex.assert_trees_all_close(brief["blended"], brief["missed"], rtol=1e-9)
+
+
+@every_target
+def test_blend_ignores_empty_slots(name):
+    one, other = (told(name).variant[key] for key in ("empty", "empty, other"))
+    chex.assert_trees_all_close(one.life["blended"], other.life["blended"], rtol=1e-9)
+
+
+@every_target
+def test_distances_grow_as_scores_fall(name):
+    """One Gaussian's score is its distance; a bank's distances are its own."""
+    life = told(name).variant["base"].life
+    assert (life["square"] > 0).all()
+    if name.startswith("single"):
+        size = case_of(name).centre.size
+        log_density = -(life["square"] + life["log_det"] + size * np.log(2 * np.pi)) / 2
+        level = life["score"] - log_density
+        np.testing.assert_allclose(level, level[0], rtol=1e-9)
+        detected = 1 - np.exp(life["log_miss"])
+        np.testing.assert_allclose(np.exp(level[0]), detected, rtol=1e-9)
 
 
 @every_target

@@ -35,7 +35,7 @@ import jax.numpy as jnp
 from jaxtrack import imm as bank_of_modes
 from jaxtrack import linearize, mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.targets import verbs, views
+from jaxtrack.targets import blending, gauge, verbs, views
 from jaxtrack.types import Array, Gaussian, Mixture, Target
 
 
@@ -62,26 +62,26 @@ class Params(NamedTuple):
         return self.motions[0]
 
 
-class View(NamedTuple):
-    """A bank as the sensor sees it.
-
-    Attributes:
-        log_weight: Of each mode, times its probability of detection, [M].
-        modes: [M].
-    """
-
-    log_weight: Array
-    modes: views.View
-
-
 @functools.cache
-def imm(method: linearize.Method = linearize.taylor) -> Target:
+def imm(
+    method: linearize.Method = linearize.taylor,
+    blend: blending.Blend = blending.by_mixture,
+    yardstick: gauge.Yardstick = "mixture",
+) -> Target:
     """Makes a target whose belief is a `Mixture` with one component per mode.
 
     Args:
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
+        blend: `blending.by_mixture` or `blending.by_residual`: how the modes are
+            weighed where it is uncertain which detection is the target's.
+        yardstick: Whose innovation covariance a gate goes by: the whole "mixture"'s, or
+            that of the mode where it is "largest".
+
+    Raises:
+        ValueError: A yardstick that there is not.
     """
+    gauge.check(yardstick)
     correct = functools.partial(_correct, method)
     return Target(
         begin=_begin,
@@ -89,9 +89,12 @@ def imm(method: linearize.Method = linearize.taylor) -> Target:
         miss=_miss,
         look=functools.partial(_look, method),
         score=functools.partial(_score, method),
+        distance=functools.partial(_distance, yardstick, method),
         correct=correct,
         collapse=_collapse,
         absorb=verbs.absorb(correct, _collapse),
+        blend=functools.partial(blend, method),
+        adapt=verbs.unchanged,
         moments=mixture.collapse,
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),
@@ -128,23 +131,34 @@ def _miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:
     return _normalised(missed), mixture.total(missed.log_weight)
 
 
-def _look(method: linearize.Method, params: Params, bank: Mixture) -> View:
+def _look(method: linearize.Method, params: Params, bank: Mixture) -> blending.View:
     log_detect = safe_log(_prob(params.detect, bank))
     look = functools.partial(views.look, method, params)
     modes = jax.vmap(look)(Gaussian(bank.mean, bank.cov))
-    return View(bank.log_weight + log_detect, modes)
+    return blending.View(bank.log_weight + log_detect, modes)
 
 
 def _score(
-    method: linearize.Method, params: Params, view: View, detections: Array
+    method: linearize.Method, params: Params, view: blending.View, detections: Array
 ) -> Array:
     score = functools.partial(views.score, method, params)
     log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
     return jax.vmap(mixture.total, 1)(view.log_weight[:, None] + log_density)
 
 
+def _distance(
+    yardstick: gauge.Yardstick,
+    method: linearize.Method,
+    params: Params,
+    view: blending.View,
+    detections: Array,
+) -> tuple[Array, Array]:
+    weight = mixture.normalise(view.log_weight)
+    return gauge.distance(yardstick, method, params, weight, view.modes, detections)
+
+
 def _correct(
-    method: linearize.Method, params: Params, view: View, detection: Array
+    method: linearize.Method, params: Params, view: blending.View, detection: Array
 ) -> Mixture:
     correct = functools.partial(views.correct, method, params)
     moved, log_density = jax.vmap(correct, (0, None))(view.modes, detection)

@@ -38,7 +38,7 @@ import jax.numpy as jnp
 from jaxtrack import kalman, linearize
 from jaxtrack import mixture as gaussians
 from jaxtrack.linalg import safe_log
-from jaxtrack.targets import components, verbs, views
+from jaxtrack.targets import components, gauge, verbs, views
 from jaxtrack.targets.imm import Params
 from jaxtrack.types import Array, Gaussian, Target
 
@@ -65,6 +65,7 @@ def mixture(
     prune_threshold: float = 1e-5,
     merge_threshold: float = 4.0,
     method: linearize.Method = linearize.taylor,
+    yardstick: gauge.Yardstick = "mixture",
 ) -> Target:
     """Makes a target whose belief is a jump Markov Gaussian mixture.
 
@@ -74,10 +75,13 @@ def mixture(
         merge_threshold: Squared Mahalanobis distance within which components merge.
         method: `linearize.taylor`, `unscented` or `cubature`; idle where the models
             are linear.
+        yardstick: Whose innovation covariance a gate goes by: the whole "mixture"'s, or
+            that of the component where it is "largest".
 
     Raises:
-        ValueError: A size or threshold that makes no sense.
+        ValueError: A size, threshold or yardstick that makes no sense.
     """
+    gauge.check(yardstick)
     reduction = components.Reduction(max_components, prune_threshold, merge_threshold)
     components.check(reduction)
     correct = functools.partial(_correct, method)
@@ -88,9 +92,12 @@ def mixture(
         miss=_miss,
         look=functools.partial(_look, method),
         score=functools.partial(_score, method),
+        distance=functools.partial(_distance, yardstick, method),
         correct=correct,
         collapse=collapse,
         absorb=verbs.absorb(correct, collapse),
+        blend=verbs.blend(correct, collapse),
+        adapt=verbs.unchanged,
         moments=components.moments,
         modes=lambda belief: gaussians.normalise(
             jax.vmap(gaussians.total)(belief.log_weight)
@@ -173,6 +180,18 @@ def _score(
     weighed = view.log_weight[:, :, None] + log_density
     flat = weighed.reshape(-1, len(detections))
     return jax.vmap(gaussians.total, 1)(flat)
+
+
+def _distance(
+    yardstick: gauge.Yardstick,
+    method: linearize.Method,
+    params: Params,
+    view: View,
+    detections: Array,
+) -> tuple[Array, Array]:
+    weight = gaussians.normalise(view.log_weight.ravel())
+    parts = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), view.parts)
+    return gauge.distance(yardstick, method, params, weight, parts, detections)
 
 
 def _correct(

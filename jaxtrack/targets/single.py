@@ -69,9 +69,12 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         miss=_miss,
         look=functools.partial(views.look, method),
         score=functools.partial(_score, method),
+        distance=functools.partial(views.distance, method),
         correct=correct,
         collapse=_collapse,
         absorb=verbs.absorb(correct, _collapse),
+        blend=functools.partial(_blend, method),
+        adapt=verbs.unchanged,
         moments=lambda belief: belief,
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
@@ -106,6 +109,19 @@ def _correct(
     method: linearize.Method, params: Params, view: views.View, detection: Array
 ) -> Gaussian:
     return views.correct(method, params, view, detection)[0]
+
+
+def _blend(
+    method: linearize.Method,
+    params: Params,
+    view: views.View,
+    missed: Gaussian,
+    log_weight: Array,
+    detections: Array,
+) -> Gaussian:
+    del missed  # a miss teaches nothing here
+    weight = jnp.where(log_weight > -jnp.inf, mixture.normalise(log_weight), 0.0)
+    return views.blend(method, params, view, weight[:-1], detections)
 
 
 def _collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:

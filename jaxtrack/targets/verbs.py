@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from jaxtrack.types import Array, PyTree
 
@@ -29,3 +30,25 @@ def absorb(
         return collapse(log_weight, corrected)
 
     return absorb
+
+
+def blend(
+    correct: Callable[..., PyTree], collapse: Callable[..., PyTree]
+) -> Callable[..., PyTree]:
+    """Makes the verb `blend` of a target from its `correct` and `collapse`."""
+
+    def blend(
+        params: Any, view: PyTree, missed: PyTree, log_weight: Array, detections: Array
+    ) -> PyTree:
+        each = jax.vmap(correct, (None, None, 0))(params, view, detections)
+        # The miss comes first: it is what a collapse of nobody gives back.
+        every = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), missed, each)
+        return collapse(jnp.roll(log_weight, 1), every)
+
+    return blend
+
+
+def unchanged(params: Any, belief: PyTree) -> PyTree:
+    """Is the verb `adapt` of a target in which nothing adapts."""
+    del params
+    return belief

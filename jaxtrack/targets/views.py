@@ -15,12 +15,13 @@ another place, nothing is shared, and the work is done for each.
     [[0.5]] [[2.]]
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from jaxtrack import kalman, linalg, linearize
+from jaxtrack import kalman, linalg, linearize, mixture
 from jaxtrack.models.sensor import Timed, untimed
 from jaxtrack.types import Affine, Array, Gaussian
 
@@ -30,13 +31,15 @@ class Sight(NamedTuple):
 
     Attributes:
         expected: The detection expected, [Z].
-        whitening: Inverse Cholesky factor of the innovation covariance, [Z, Z].
+        lower: Cholesky factor of the innovation covariance, [Z, Z].
+        whitening: Its inverse, [Z, Z].
         log_scale: Log-density of a detection as expected, a scalar.
         gain: [D, Z].
         cov: Covariance after the update, [D, D].
     """
 
     expected: Array
+    lower: Any
     whitening: Any
     log_scale: Array
     gain: Any
@@ -72,6 +75,7 @@ def see(prior: Gaussian, sensor: Affine) -> Sight:
     )
     return Sight(
         expected=expected,
+        lower=lower,
         whitening=linalg.solve_lower(lower, identity),
         log_scale=log_scale,
         gain=linalg.solve(lower, linalg.product(matrix, prior.cov)).T,
@@ -99,8 +103,25 @@ def score(
     """Returns the log-densities of detections [K, Z], [K]."""
 
     def one(detection: Array) -> Array:
-        sight, surprise = _meet(method, params, view, detection)
+        sight, surprise = meet(method, params, view, detection)
         return _log_density(sight, surprise)
+
+    return jax.vmap(one)(detections)
+
+
+def distance(
+    method: linearize.Method, params: Any, view: View, detections: Array
+) -> tuple[Array, Array]:
+    """Returns squared Mahalanobis distances of detections [K, Z], and log-determinants.
+
+    Both are [K], and go by the innovation covariance.
+    """
+
+    def one(detection: Array) -> tuple[Array, Array]:
+        sight, surprise = meet(method, params, view, detection)
+        white = sight.whitening @ surprise
+        turns = surprise.size * jnp.log(2 * jnp.pi)
+        return (white * white).sum(), -2 * sight.log_scale - turns
 
     return jax.vmap(one)(detections)
 
@@ -109,12 +130,88 @@ def correct(
     method: linearize.Method, params: Any, view: View, detection: Array
 ) -> tuple[Gaussian, Array]:
     """Conditions a belief on a detection [Z]; returns its log-density, too."""
-    sight, surprise = _meet(method, params, view, detection)
+    sight, surprise = meet(method, params, view, detection)
     mean = view.prior.mean + sight.gain @ surprise
     return Gaussian(mean, sight.cov), _log_density(sight, surprise)
 
 
-def _meet(
+def average_score(
+    method: linearize.Method,
+    params: Any,
+    view: View,
+    weight: Array,
+    detections: Array,
+) -> Array:
+    """Returns the log-density N(r; 0, S) of an average residual r.
+
+    Args:
+        method: Of `linearize`.
+        params: A target's `Params`.
+        view: How the belief is seen.
+        weight: Of each residual in the average, [K].
+        detections: [K, Z].
+
+    Returns:
+        A scalar.
+    """
+
+    def one(detection: Array) -> tuple[Array, Array]:
+        sight, surprise = meet(method, params, view, detection)
+        return sight.whitening @ surprise, sight.log_scale
+
+    white, log_scale = jax.vmap(one)(detections)
+    total = weight.sum()
+    share = jnp.where(total > 0, weight / jnp.where(total > 0, total, 1.0), 0.0)
+    white = (weight[:, None] * white).sum(0)
+    return (share * log_scale).sum() - (white * white).sum() / 2
+
+
+def blend(
+    method: linearize.Method,
+    params: Any,
+    view: View,
+    weight: Array,
+    detections: Array,
+) -> Gaussian:
+    """Moment-matches what a belief becomes if one of K detections is its, or none.
+
+    Args:
+        method: Of `linearize`.
+        params: A target's `Params`.
+        view: How the belief is seen.
+        weight: Probability of each detection, [K]; none has what remains of one.
+        detections: [K, Z].
+
+    Returns:
+        The posterior (Bar-Shalom and Fortmann 1988, section 6.4, whose gain and
+        covariances all detections share).
+    """
+    missed = 1 - weight.sum()
+    prior, sight = view
+    if sight is None:
+        each, _ = jax.vmap(functools.partial(correct, method, params, view))(detections)
+        mean, cov = (
+            jnp.concatenate([few, one[None]])
+            for few, one in zip(each, prior, strict=True)
+        )
+        return mixture.moment_match(jnp.append(weight, missed), mean, cov)
+
+    def surprise(detection: Array) -> Array:
+        return meet(method, params, view, detection)[1]
+
+    surprises = jax.vmap(surprise)(detections)
+    average = (weight[:, None] * surprises).sum(0)
+    gap = surprises - average[None]
+    spread = (weight[:, None, None] * gap[:, :, None] * gap[:, None, :]).sum(0)
+    spread = spread + missed * average[:, None] * average[None]
+    cov = missed * prior.cov + (1 - missed) * sight.cov
+    return Gaussian(
+        prior.mean + sight.gain @ average,
+        cov + linalg.congruence(sight.gain, spread),
+    )
+
+
+def meet(
     method: linearize.Method, params: Any, view: View, detection: Array
 ) -> tuple[Sight, Array]:
     """Returns how a detection is seen, and how far it is from what was expected."""

@@ -271,8 +271,7 @@ def _keep(
 ) -> tuple[Tracks, Array]:
     """Prunes and caps the tracks; only the likeliest detections make updated tracks.
 
-    Returns the survivors, likeliest first, and the expected number of targets that the
-    capacities (not the pruning threshold) threw away.
+    Returns the survivors, likeliest first, and the expected number of targets dropped.
     """
     target, threshold = settings.target, settings.prune_threshold
     legacy_prob = jnp.where(update.legacy_prob >= threshold, update.legacy_prob, 0.0)
@@ -295,5 +294,7 @@ def _keep(
         tracks._replace(existence_prob=legacy_prob, belief=update.missed),
         Tracks(hit_prob, hits, tracks.label[ancestor], tracks.alias[ancestor]),
     )
+    survivors = jax.tree.map(lambda x: x[kept], survivors)
+    belief = jax.vmap(target.adapt, (None, 0))(params, survivors.belief)
     # Nothing dropped can come out as minus one rounding.
-    return jax.tree.map(lambda x: x[kept], survivors), jnp.maximum(dropped, 0.0)
+    return survivors._replace(belief=belief), jnp.maximum(dropped, 0.0)

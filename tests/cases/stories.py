@@ -15,7 +15,7 @@ from cases.targets import NUM, base_inputs, case_of, grid, value
 from jaxtrack.models import probability
 
 KEY = np.array(jax.random.key_data(jax.random.key(0)))
-BELIEFS = ("born", "middle", "late", "missed", "collapsed")
+BELIEFS = ("born", "middle", "late", "missed", "collapsed", "blended")
 
 
 def story(target, inputs):
@@ -36,6 +36,9 @@ def story(target, inputs):
         params, view, inputs.detections
     )
     few = jax.tree.map(lambda x: x[:NUM], corrected)
+    uncertain = inputs.detections[:NUM]
+    blended = target.blend(params, view, missed, blend_weight(inputs), uncertain)
+    square, log_det = target.distance(params, view, uncertain)
     return {
         "born": born,
         "middle": jax.tree.map(lambda x: x[0], moved),
@@ -43,10 +46,19 @@ def story(target, inputs):
         "missed": missed,
         "corrected": corrected,
         "collapsed": target.collapse(inputs.log_weight, few),
+        "blended": target.adapt(params, blended),
+        "square": square,
+        "log_det": log_det,
         "log_survive": log_survive,
         "log_miss": log_miss,
         "score": target.score(params, view, inputs.detections),
     }
+
+
+def blend_weight(inputs):
+    """The weights of four detections and of a miss; empty where all four are."""
+    log_weight = inputs.log_weight
+    return jnp.concatenate([log_weight, log_weight[:1] + 0.4])
 
 
 def summary(target, told):
@@ -63,8 +75,12 @@ def loss_of(target, inputs):
     belief = target.moments(told["collapsed"])
     scale = jnp.arange(1.0, belief.mean.size + 1)
     missed = target.moments(told["missed"])
+    blended = target.moments(told["blended"])
     return (
         told["score"][:NUM].sum()
+        + (told["square"] + told["log_det"]).sum() / 100
+        + (blended.mean * scale).sum() / 100
+        + (blended.cov * scale[None] * scale[:, None]).sum() / 100
         + told["log_miss"]
         + told["log_survive"].sum()
         + (belief.mean * scale).sum() / 100

@@ -1,0 +1,118 @@
+"""A bank of modes whose detection is uncertain: two ways to weigh its modes.
+
+Every mode keeps one Gaussian, matched over the detections that may be its own and over
+none. The ways differ in what makes a mode likely:
+
+- `by_mixture`: the Gaussian mixture density of all detections, each weighed by how
+  likely it is the target's. This is Bayes' rule; modes differ in which detection is
+  theirs.
+- `by_residual`: the density N(r; 0, S) of the average residual r, as Gomes prints it.
+  All modes share one set of association probabilities, and a mode that expects the
+  centre of several detections is rewarded.
+
+With one certain detection the two agree.
+
+    >>> from jaxtrack.targets import blending, imm
+    >>> target = imm.imm(blend=blending.by_residual)
+    >>> import jax.numpy as jnp
+    >>> print(blending.shares(jnp.full(3, -jnp.inf)))
+    [-inf -inf   0.]
+
+Reference: Gomes, "An overview on target tracking using multiple models methods", 2011,
+Tables 4 and 5; Blom and Bloem, "Combining IMM and JPDA for tracking multiple
+maneuvering targets in clutter", FUSION 2002.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import linearize, mixture
+from jaxtrack.targets import views
+from jaxtrack.types import Array, Mixture
+
+
+class View(NamedTuple):
+    """A bank as the sensor sees it.
+
+    Attributes:
+        log_weight: Of each mode, times its probability of detection, [M].
+        modes: [M].
+    """
+
+    log_weight: Array
+    modes: views.View
+
+
+Blend = Callable[[linearize.Method, Any, View, Mixture, Array, Array], Mixture]
+
+
+def by_mixture(
+    method: linearize.Method,
+    params: Any,
+    view: View,
+    missed: Mixture,
+    log_weight: Array,
+    detections: Array,
+) -> Mixture:
+    """Weighs a mode by how well it explains the detections, each on its own.
+
+    Args:
+        method: Of `linearize`.
+        params: A target's `Params`.
+        view: How the bank is seen.
+        missed: The bank if it was not detected, M modes.
+        log_weight: Of each detection and, last, of none; any scale, [K + 1].
+        detections: [K, Z].
+
+    Returns:
+        The bank, weights summing to one.
+    """
+    log_share = shares(log_weight)
+    score = functools.partial(views.score, method, params)
+    log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
+    log_mode = view.log_weight[:, None] + log_density
+    log_mode = jax.vmap(mixture.log_normalise, 1, 1)(log_mode)
+    log_joint = jnp.concatenate(
+        [log_share[None, :-1] + log_mode, (log_share[-1] + missed.log_weight)[:, None]],
+        axis=1,
+    )
+    log_total = jax.vmap(mixture.total)(log_joint)
+    possible = log_total > -jnp.inf
+    weight = jnp.exp(log_joint - jnp.where(possible, log_total, 0.0)[:, None])
+    blend = functools.partial(views.blend, method, params)
+    modes = jax.vmap(blend, (0, 0, None))(view.modes, weight[:, :-1], detections)
+    return Mixture(mixture.log_normalise(log_total), modes.mean, modes.cov)
+
+
+def by_residual(
+    method: linearize.Method,
+    params: Any,
+    view: View,
+    missed: Mixture,
+    log_weight: Array,
+    detections: Array,
+) -> Mixture:
+    """Weighs a mode by the density of its average residual; see `by_mixture`."""
+    weight = jnp.exp(shares(log_weight))[:-1]
+    detected = weight.sum()
+
+    def of_mode(mode: views.View) -> tuple[Any, Array]:
+        log_density = views.average_score(method, params, mode, weight, detections)
+        return views.blend(method, params, mode, weight, detections), log_density
+
+    modes, log_density = jax.vmap(of_mode)(view.modes)
+    # Where nothing may be its own there is no residual to go by.
+    seen = mixture.log_normalise(view.log_weight + log_density)
+    log_mode = jnp.where(detected > 0, seen, missed.log_weight)
+    return Mixture(log_mode, modes.mean, modes.cov)
+
+
+def shares(log_weight: Array) -> Array:
+    """Returns log-weights that sum to one; if all are empty, none is the target's."""
+    nobody = jnp.all(log_weight == -jnp.inf)
+    last = jnp.where(jnp.arange(log_weight.size) == log_weight.size - 1, 0.0, -jnp.inf)
+    return jax.nn.log_softmax(jnp.where(nobody, last, log_weight))
