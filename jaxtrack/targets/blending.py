@@ -10,7 +10,8 @@ none. The ways differ in what makes a mode likely:
   All modes share one set of association probabilities, and a mode that expects the
   centre of several detections is rewarded.
 
-With one certain detection the two agree.
+With one certain detection the two agree. Where only some modes are active, the others
+are weighed on the same scale, but what is certain is that one of the active is true.
 
     >>> from jaxtrack.targets import blending, imm
     >>> target = imm.imm(blend=blending.by_residual)
@@ -41,10 +42,13 @@ class View(NamedTuple):
     Attributes:
         log_weight: Of each mode, times its probability of detection, [M].
         modes: [M].
+        log_active: 0 for the modes that count and -inf for those that do not, or the
+            log of something in between, [M].
     """
 
     log_weight: Array
     modes: views.View
+    log_active: Array
 
 
 Blend = Callable[[linearize.Method, Any, View, Mixture, Array, Array], Mixture]
@@ -69,13 +73,13 @@ def by_mixture(
         detections: [K, Z].
 
     Returns:
-        The bank, weights summing to one.
+        The bank, weights of the active modes summing to one.
     """
     log_share = shares(log_weight)
     score = functools.partial(views.score, method, params)
     log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
     log_mode = view.log_weight[:, None] + log_density
-    log_mode = jax.vmap(mixture.log_normalise, 1, 1)(log_mode)
+    log_mode = jax.vmap(log_normalise, (1, None), 1)(log_mode, view.log_active)
     log_joint = jnp.concatenate(
         [log_share[None, :-1] + log_mode, (log_share[-1] + missed.log_weight)[:, None]],
         axis=1,
@@ -85,7 +89,8 @@ def by_mixture(
     weight = jnp.exp(log_joint - jnp.where(possible, log_total, 0.0)[:, None])
     blend = functools.partial(views.blend, method, params)
     modes = jax.vmap(blend, (0, 0, None))(view.modes, weight[:, :-1], detections)
-    return Mixture(mixture.log_normalise(log_total), modes.mean, modes.cov)
+    log_total = log_normalise(log_total, view.log_active)
+    return Mixture(log_total, modes.mean, modes.cov)
 
 
 def by_residual(
@@ -106,7 +111,7 @@ def by_residual(
 
     modes, log_density = jax.vmap(of_mode)(view.modes)
     # Where nothing may be its own there is no residual to go by.
-    seen = mixture.log_normalise(view.log_weight + log_density)
+    seen = log_normalise(view.log_weight + log_density, view.log_active)
     log_mode = jnp.where(detected > 0, seen, missed.log_weight)
     return Mixture(log_mode, modes.mean, modes.cov)
 
@@ -116,3 +121,31 @@ def shares(log_weight: Array) -> Array:
     nobody = jnp.all(log_weight == -jnp.inf)
     last = jnp.where(jnp.arange(log_weight.size) == log_weight.size - 1, 0.0, -jnp.inf)
     return jax.nn.log_softmax(jnp.where(nobody, last, log_weight))
+
+
+def log_normalise(log_weight: Array, log_active: Array) -> Array:
+    """Scales all weights so that those of the active modes sum to one.
+
+    If none of the active has any, the first of them gets all, so that values and
+    gradients stay finite.
+
+    Args:
+        log_weight: [M].
+        log_active: As in `View`, [M].
+
+    Returns:
+        Log-weights, [M]; those of modes that are not active may be above 0.
+
+    Example:
+        >>> from jaxtrack.targets import blending
+        >>> import jax.numpy as jnp
+        >>> weight = jnp.log(jnp.array([3.0, 1.0, 8.0]))
+        >>> scaled = blending.log_normalise(weight, jnp.array([0.0, 0.0, -jnp.inf]))
+        >>> print(jnp.exp(scaled))
+        [0.75 0.25 2.  ]
+    """
+    log_total = mixture.total(log_weight + log_active)
+    empty = log_total == -jnp.inf
+    first = jnp.arange(log_weight.size) == jnp.argmax(log_active)
+    safe = jnp.where(empty, jnp.where(first, 0.0, -jnp.inf), log_weight)
+    return safe - jnp.where(empty, 0.0, log_total)

@@ -32,11 +32,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack import imm as bank_of_modes
 from jaxtrack import linearize, mixture
-from jaxtrack.linalg import safe_log
-from jaxtrack.targets import blending, gauge, verbs, views
-from jaxtrack.types import Array, Gaussian, Mixture, Target
+from jaxtrack.targets import banks, blending, gauge, verbs
+from jaxtrack.types import Array, Mixture, Target
 
 
 class Params(NamedTuple):
@@ -82,14 +80,14 @@ def imm(
         ValueError: A yardstick that there is not.
     """
     gauge.check(yardstick)
-    correct = functools.partial(_correct, method)
+    correct = functools.partial(banks.correct, method)
     return Target(
-        begin=_begin,
-        predict=functools.partial(_predict, method),
-        miss=_miss,
-        look=functools.partial(_look, method),
-        score=functools.partial(_score, method),
-        distance=functools.partial(_distance, yardstick, method),
+        begin=lambda params, prior, mode_prob, key: banks.begin(prior, mode_prob),
+        predict=functools.partial(banks.predict, method),
+        miss=lambda params, bank: banks.miss(params, bank, _all(bank)),
+        look=lambda params, bank: banks.look(method, params, bank, _all(bank)),
+        score=functools.partial(banks.score, method),
+        distance=functools.partial(banks.distance, yardstick, method),
         correct=correct,
         collapse=_collapse,
         absorb=verbs.absorb(correct, _collapse),
@@ -101,83 +99,14 @@ def imm(
     )
 
 
-def _begin(params: Params, prior: Gaussian, mode_prob: Array, key: Array) -> Mixture:
-    del params, key
-    size = mode_prob.size
-    mean = jnp.broadcast_to(prior.mean[None], (size, *prior.mean.shape))
-    cov = jnp.broadcast_to(prior.cov[None], (size, *prior.cov.shape))
-    return Mixture(safe_log(mode_prob), mean, cov)
+def _all(bank: Mixture) -> Array:
+    """Returns that all modes are active, [M]."""
+    return jnp.zeros_like(bank.log_weight)
 
 
-def _predict(
-    method: linearize.Method, params: Params, bank: Mixture, interval: Array
-) -> tuple[Mixture, Array]:
-    survive = _prob(params.survive, bank, interval)
-    alive = bank._replace(log_weight=bank.log_weight + safe_log(survive))
-    log_survive = mixture.total(alive.log_weight)
-
-    log_transition = params.switching.log_transition(interval)
-    mixed = bank_of_modes.mix(_normalised(alive), log_transition)
-    motions = [
-        linearize.motion_affine(motion, Gaussian(mean, cov), interval, method)
-        for motion, mean, cov in zip(params.motions, mixed.mean, mixed.cov, strict=True)
-    ]
-    return bank_of_modes.predict(mixed, motions), log_survive
-
-
-def _miss(params: Params, bank: Mixture) -> tuple[Mixture, Array]:
-    log_miss = safe_log(1 - _prob(params.detect, bank))
-    missed = bank._replace(log_weight=bank.log_weight + log_miss)
-    return _normalised(missed), mixture.total(missed.log_weight)
-
-
-def _look(method: linearize.Method, params: Params, bank: Mixture) -> blending.View:
-    log_detect = safe_log(_prob(params.detect, bank))
-    look = functools.partial(views.look, method, params)
-    modes = jax.vmap(look)(Gaussian(bank.mean, bank.cov))
-    return blending.View(bank.log_weight + log_detect, modes)
-
-
-def _score(
-    method: linearize.Method, params: Params, view: blending.View, detections: Array
-) -> Array:
-    score = functools.partial(views.score, method, params)
-    log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
-    return jax.vmap(mixture.total, 1)(view.log_weight[:, None] + log_density)
-
-
-def _distance(
-    yardstick: gauge.Yardstick,
-    method: linearize.Method,
-    params: Params,
-    view: blending.View,
-    detections: Array,
-) -> tuple[Array, Array]:
-    weight = mixture.normalise(view.log_weight)
-    return gauge.distance(yardstick, method, params, weight, view.modes, detections)
-
-
-def _correct(
-    method: linearize.Method, params: Params, view: blending.View, detection: Array
-) -> Mixture:
-    correct = functools.partial(views.correct, method, params)
-    moved, log_density = jax.vmap(correct, (0, None))(view.modes, detection)
-    return _normalised(Mixture(view.log_weight + log_density, moved.mean, moved.cov))
-
-
-def _collapse(log_weight: Array, banks: Mixture) -> Mixture:
-    """Merges N banks mode by mode: log_weight [N], banks of [N, M] components."""
-    log_joint = mixture.log_normalise(log_weight)[:, None] + banks.log_weight
+def _collapse(log_weight: Array, many: Mixture) -> Mixture:
+    """Merges N banks mode by mode: log_weight [N], each of M modes."""
+    log_joint = mixture.log_normalise(log_weight)[:, None] + many.log_weight
     weight = jax.vmap(mixture.normalise, 1)(log_joint)  # [M, N]
-    merged = jax.vmap(mixture.moment_match, (0, 1, 1))(weight, banks.mean, banks.cov)
+    merged = jax.vmap(mixture.moment_match, (0, 1, 1))(weight, many.mean, many.cov)
     return Mixture(jax.vmap(mixture.total, 1)(log_joint), merged.mean, merged.cov)
-
-
-def _prob(model: Any, bank: Mixture, interval: Array | float = 0.0) -> Array:
-    """Evaluates a probability in every mode, at its mean: [M]."""
-    modes = jnp.arange(bank.log_weight.size)
-    return jax.vmap(model.prob, (0, 0, None))(modes, bank.mean, interval)
-
-
-def _normalised(bank: Mixture) -> Mixture:
-    return bank._replace(log_weight=mixture.log_normalise(bank.log_weight))
