@@ -89,3 +89,13 @@ def test_float32_keeps_the_digits_of_small_probabilities():
         got = np.asarray(transition(model, np.float32(1e-4)))
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, transition(MODEL, 1e-4), rtol=1e-5)
+
+
+def test_adjacent_are_those_that_one_jump_reaches():
+    """Not those by way of others, though in continuous time they may be there."""
+    p = np.array([[0.9, 0.1, 0.0], [0.0, 1.0, 0.0], [0.5, 0.5, 0.0]])
+    markov, sojourn = jax.jit(
+        lambda p: (MarkovSwitching(p).adjacent(), MODEL.adjacent())
+    )(p)
+    np.testing.assert_array_equal(markov, p > 0)
+    np.testing.assert_array_equal(sojourn, [[1, 1, 1], [1, 1, 0], [1, 1, 1]])

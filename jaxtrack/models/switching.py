@@ -1,7 +1,8 @@
 """Markov switching between motion modes.
 
 `log_transition(interval)` is log p [M, M], p[i, j] = P(mode j now | mode i before);
-rows sum to one, and what cannot happen is -inf.
+rows sum to one, and what cannot happen is -inf. `adjacent()` says which mode may be
+left straight for which, [M, M] (bool), the same way round.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.models.switching import SojournSwitching
@@ -41,6 +42,10 @@ class MarkovSwitching(NamedTuple):
         """Returns log p, [M, M]."""
         del interval
         return linalg.safe_log(linalg.floating(self.transition))
+
+    def adjacent(self) -> Array:
+        """Returns which mode may follow which in the next scan, [M, M]."""
+        return jnp.asarray(self.transition) > 0
 
 
 class SojournSwitching(NamedTuple):
@@ -82,3 +87,8 @@ class SojournSwitching(NamedTuple):
         prob = jax.lax.fori_loop(0, TERMS, term, eye)
         prob = prob / prob.sum(1, keepdims=True)
         return linalg.safe_log(jax.lax.fori_loop(0, SQUARINGS, square, prob))
+
+    def adjacent(self) -> Array:
+        """Returns which mode may be left for which by one jump, and itself, [M, M]."""
+        jump_prob = jnp.asarray(self.jump_prob)
+        return (jump_prob > 0) | jnp.eye(len(jump_prob), dtype=bool)

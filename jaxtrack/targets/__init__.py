@@ -5,6 +5,6 @@
 True
 """
 
-from jaxtrack.targets import imm, mixture, single
+from jaxtrack.targets import imm, likely_modes, mixture, single
 
-__all__ = ["imm", "mixture", "single"]
+__all__ = ["imm", "likely_modes", "mixture", "single"]

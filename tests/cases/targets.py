@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxtrack import linearize
 from jaxtrack.models import motion, probability, sensor, switching, turn
-from jaxtrack.targets import imm, mixture, single
+from jaxtrack.targets import imm, likely_modes, mixture, single
 from jaxtrack.types import Gaussian, Target
 
 NUM = 4  # detections, and beliefs to collapse
@@ -99,6 +99,13 @@ def linear_case(target):
     return Case(target, two_modes(), ONE_AXIS, array(0.65, 0.35), *LINEAR_SPAN)
 
 
+def likely_modes_case():
+    """Both modes stay active until the end of the story."""
+    params = likely_modes.Params(*two_modes(), value(0.2), value(0.5))
+    target = likely_modes.likely_modes()
+    return Case(target, params, ONE_AXIS, array(0.65, 0.35), *LINEAR_SPAN)
+
+
 def imm_nonlinear_case():
     params = imm.Params(
         motions=(
@@ -135,11 +142,13 @@ CASES = {
     "single_ckf": functools.partial(radar_case, linearize.cubature),
     "imm": functools.partial(linear_case, imm.imm()),
     "imm_nonlinear": imm_nonlinear_case,
+    "likely_modes": likely_modes_case,
     "mixture": functools.partial(linear_case, MERGING),
     "mixture_one_mode": one_mode_case,
 }
-# The CKF is the UKF with other weights, and one mode is less than two.
-SECOND_VARIANTS = {"single_ckf", "mixture_one_mode"}
+# The CKF is the UKF with other weights, one mode is less than two, and with all modes
+# active the likely ones are those of the IMM.
+SECOND_VARIANTS = {"single_ckf", "mixture_one_mode", "likely_modes"}
 
 
 @functools.cache

@@ -1,0 +1,321 @@
+"""The target of a likely set of modes against the tables of the paper, and the IMM."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import slopes
+from reference import likely_modes as book
+
+from jaxtrack.models import probability, sensor, switching, turn
+from jaxtrack.scenarios.world import turn_matrix
+from jaxtrack.targets import blending, imm, likely_modes, likely_set
+from jaxtrack.types import Gaussian
+
+RATES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])  # a chain of turns
+NUM, SCANS, STEP = len(RATES), 14, 1.5
+PRIOR = Gaussian(np.array([0.0, 30.0, 0.0, 5.0]), np.diag([50.0, 9.0, 50.0, 9.0]))
+CENTRE, ALL = np.array([0.0, 0, 1, 0, 0]), np.array([0.1, 0.2, 0.4, 0.2, 0.1])
+# t1, t2 and the modes at the start; the last two keep all active.
+KINDS = [
+    (0.1, 0.5, CENTRE),
+    (0.02, 0.9, CENTRE),
+    (0.3, 0.2, ALL),
+    (0.15, 0.97, ALL),
+    (0.0, 0.5, ALL),
+    (0.0, 1.0, ALL),
+]
+BLENDS = {"mixture": blending.by_mixture, "residual": blending.by_residual}
+
+
+def chain(stay, num=NUM):
+    """Stays with some probability, else goes to a neighbour, upwards rather."""
+    up, down = np.eye(num, k=1), np.eye(num, k=-1)
+    leave = 0.6 * up + 0.4 * down
+    leave = leave / leave.sum(1, keepdims=True)
+    return stay * np.eye(num) + (1 - stay) * leave
+
+
+def params_of(t1, t2, values=None):
+    values = values or {}
+    rates, noise = values.get("rates", RATES), values.get("noise", np.full(NUM, 2.0))
+    return likely_modes.Params(
+        motions=tuple(map(turn.CoordinatedTurn, rates, noise)),
+        switching=switching.MarkovSwitching(chain(0.85, len(rates))),
+        sensor=sensor.Position(values.get("std", np.array([12.0, 8.0]))),
+        survive=probability.Constant(values.get("survive", np.array(0.97))),
+        detect=probability.Constant(values.get("detect", np.array(0.9))),
+        unlikely_prob=t1,
+        principal_prob=t2,
+    )
+
+
+@functools.cache
+def data():
+    """Three detections a scan near a target that turns, and given associations."""
+    rng = np.random.default_rng(3)
+    state, rows = PRIOR.mean, []
+    for scan in range(SCANS):
+        rate = (0.0, 0.1, 0.2, -0.1)[4 * scan // SCANS]
+        state = turn_matrix(rate, STEP) @ state
+        rows.append(state[[0, 2]] + rng.normal(size=(3, 2)) * [12.0, 8.0])
+    beta = rng.dirichlet([6.0, 0.5, 0.3, 0.3], size=SCANS)
+    beta[::3] = [1.0, 0.0, 0.0, 0.0]  # sometimes it is certain
+    return np.array(rows), beta
+
+
+def live(target, params, mode_prob, detections, beta):
+    """Lives through all scans: what is told after each."""
+
+    def scan(belief, seen):
+        z, log_beta = seen
+        belief, log_survive = target.predict(params, belief, jnp.asarray(STEP))
+        missed, log_miss = target.miss(params, belief)
+        view = target.look(params, belief)
+        score = target.score(params, view, z)
+        square, log_det = target.distance(params, view, z)
+        belief = target.blend(params, view, missed, log_beta, z)
+        belief = target.adapt(params, belief)
+        chances = log_survive, log_miss, score, square, log_det
+        told = target.moments(belief), target.modes(belief), chances
+        return belief, (told, getattr(belief, "log_next", None))
+
+    first = target.begin(params, PRIOR, mode_prob, None)
+    _, rows = jax.lax.scan(scan, first, (detections, jnp.log(beta)))
+    return rows
+
+
+@functools.cache
+def lives(name, temperature=0.0):
+    """All kinds of `KINDS` at once, [kind, scan, ...]."""
+    target = likely_modes.likely_modes(
+        min_modes=2, blend=BLENDS[name], temperature=temperature
+    )
+
+    detections, beta = data()
+
+    def one(t1, t2, mode_prob):
+        return live(target, params_of(t1, t2), mode_prob, detections, beta)
+
+    columns = [np.array(column) for column in zip(*KINDS, strict=True)]
+    return jax.tree.map(np.array, jax.jit(jax.vmap(one))(*columns))
+
+
+def book_model(t1, t2):
+    motions = params_of(t1, t2).motions
+    return book.Model(
+        F=[np.array(m.transition(STEP)) for m in motions],
+        Q=[np.array(m.noise(STEP)) for m in motions],
+        H=np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0]]),
+        R=np.diag([144.0, 64.0]),
+        p=chain(0.85),
+        detect=0.9,
+        t1=t1,
+        t2=t2,
+        K=2,
+    )
+
+
+@pytest.mark.parametrize("name", BLENDS)
+def test_a_run_is_that_of_the_tables(name):
+    """Step by step: moments, probabilities and the set that follows."""
+    (belief, modes, _), log_next = lives(name)
+    sizes = set()
+    for kind, (t1, t2, mode_prob) in enumerate(KINDS):
+        model = book_model(t1, t2)
+        active = {i for i in range(NUM) if mode_prob[i] > 0}
+        known = {i: (mode_prob[i], *PRIOR) for i in active}
+        for scan, (z, beta) in enumerate(zip(*data(), strict=True)):
+            known, active = book.cycle(
+                model, active, known, z, beta, name == "residual"
+            )
+            x, P = book.moments(known)
+            np.testing.assert_allclose(belief.mean[kind, scan], x, rtol=1e-9)
+            np.testing.assert_allclose(belief.cov[kind, scan], P, rtol=1e-7)
+            mu = [known[i][0] if i in known else 0.0 for i in range(NUM)]
+            np.testing.assert_allclose(modes[kind, scan], mu, rtol=1e-8)
+            kept = set(np.flatnonzero(log_next[kind, scan] == 0))
+            assert kept == active
+            sizes.add((len(known), len(active)))
+    assert len(sizes) > 6  # the scene has sets of many sizes
+
+
+@pytest.mark.parametrize("name", BLENDS)
+def test_with_all_modes_active_it_is_the_imm(name):
+    """In whatever it tells over a whole run."""
+    target = imm.imm(blend=BLENDS[name])
+    params = imm.Params(*params_of(0.0, 0.0)[:5])
+    told, _ = jax.jit(lambda z, beta: live(target, params, ALL, z, beta))(*data())
+    for kind in (4, 5):
+        mine = jax.tree.map(lambda x, kind=kind: x[kind], lives(name)[0])
+        jax.tree.map(
+            lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-9), mine, told
+        )
+
+
+def test_a_low_temperature_makes_hard_choices():
+    hard, cold = lives("mixture"), lives("mixture", 1e-4)
+    jax.tree.map(
+        # Sets are as good as equal: what remains active counts for less than this.
+        lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-6, atol=1e-12),
+        hard[0],
+        cold[0],
+    )
+
+
+@functools.cache
+def slopes_of(temperature):
+    """The slopes of a run in all values, by gradient and by differences; scales.
+
+    Of three modes, the last of which nothing can enter at first.
+    """
+    target = likely_modes.likely_modes(temperature=temperature)
+    detections, beta = data()[0][:6, :2], data()[1][:6, 1:]
+    values = {
+        "rates": RATES[1:4],
+        "noise": np.linspace(1.0, 3.0, 3),
+        "std": np.array([12.0, 8.0]),
+        "survive": np.array(0.97),
+        "detect": np.array(0.9),
+        "t1": np.array(0.08),
+        "t2": np.array(0.6),
+        "detections": detections,
+    }
+
+    def loss(values):
+        params = params_of(values["t1"], values["t2"], values)
+        run = live(target, params, np.eye(3)[0], values["detections"], beta)
+        (belief, modes, chances), _ = run
+        return (
+            (belief.mean @ jnp.arange(1.0, 5.0)).sum() / 100
+            + jnp.trace(belief.cov, axis1=1, axis2=2).sum() / 100
+            + (modes @ jnp.arange(1.0, 4.0)).sum()
+            + sum(x.sum() for x in chances) / 10
+        )
+
+    moved, scale = slopes.walks(values)
+    found = slopes.differences(jax.jit(jax.vmap(loss))(moved))
+    slope = jax.jit(jax.grad(loss))(values)
+    return values, jax.tree.map(np.array, slope), found, scale
+
+
+def test_hard_choices_leave_all_other_gradients_right():
+    values, slope, found, scale = slopes_of(0.0)
+    slopes.assert_right(values, slope, found, scale, rtol=1e-5, atol=1e-6)
+    assert slope["t1"] == slope["t2"] == 0
+
+
+def test_soft_choices_can_be_learned():
+    values, slope, found, scale = slopes_of(0.4)
+    slopes.assert_right(values, slope, found, scale, rtol=1e-5, atol=1e-6)
+    assert abs(slope["t1"]) > 0.1
+    assert abs(slope["t2"]) > 0.01
+
+
+def test_sets_are_chosen_as_in_table_3():
+    """For thousands of random probabilities, digraphs and thresholds."""
+    rng = np.random.default_rng(0)
+    size, num = 3000, 6
+    active = rng.random((size, num)) < 0.6
+    active[np.arange(size), rng.integers(num, size=size)] = True
+    weight = np.where(active, rng.random((size, num)) ** 6, 0.0)
+    mu = weight / weight.sum(1, keepdims=True)
+    mu[rng.random(size) < 0.2] = np.eye(num)[2]  # some active modes are impossible
+    active[:, 2] = True
+    p = (rng.random((size, num, num)) < 0.3) | np.eye(num, dtype=bool)
+    t1, t2 = rng.uniform(0, 0.3, size), rng.uniform(0.05, 0.9, size)
+    for min_modes in (1, 3, num):
+        adapt = functools.partial(likely_set.adapt, min_modes=min_modes)
+        with np.errstate(divide="ignore"):
+            logs = np.log(mu), np.log(active.astype(float))
+        now, later = jax.jit(jax.vmap(adapt))(*logs, p, t1, t2)
+        for k in range(size):
+            known = {i: mu[k, i] for i in range(num) if active[k, i]}
+            new, following = book.adapt(p[k], known, t1[k], t2[k], min_modes)
+            union = known | {i: 0.0 for i in new}
+            assert set(np.flatnonzero(now[k] == 0)) == set(union)
+            assert set(np.flatnonzero(later[k] == 0)) == following(union)
+
+
+def test_modes_that_nobody_can_enter_are_impossible_and_finite():
+    target, params = likely_modes.likely_modes(), params_of(0.1, 0.5)
+
+    @jax.jit
+    def one(prior):
+        belief = target.begin(params, prior, CENTRE, None)
+        return target.predict(params, belief, STEP)[0]
+
+    belief = one(PRIOR)
+    np.testing.assert_array_equal(np.exp(belief.log_weight[jnp.array([0, 4])]), 0.0)
+    assert np.isfinite(belief.mean).all()
+    assert np.isfinite(belief.cov).all()
+    # Its neighbours are not active yet, but known: 0.4 and 0.6 of those who leave.
+    np.testing.assert_allclose(
+        np.exp(belief.log_weight[1:4]), np.array([0.06, 0.85, 0.09]) / 0.85
+    )
+
+
+def test_where_no_active_mode_can_be_entered_all_become_active():
+    swap = switching.MarkovSwitching(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    base = params_of(0.9, 1.0)
+    params = base._replace(motions=base.motions[:2], switching=swap)
+    target = likely_modes.likely_modes()
+
+    @jax.jit
+    def one(mode_prob):
+        belief = target.begin(params, PRIOR, mode_prob, None)
+        belief, log_survive = target.predict(params, belief, STEP)
+        return target.modes(belief), log_survive
+
+    modes, log_survive = one(np.array([1.0, 0.0]))
+    np.testing.assert_array_equal(modes, [0.0, 1.0])
+    np.testing.assert_allclose(np.exp(log_survive), 0.97)
+
+
+def test_collapse_joins_active_sets_and_keeps_the_moments_of_the_pool():
+    """An empty slot's set does not join."""
+    target = likely_modes.likely_modes()
+    rng = np.random.default_rng(5)
+    on = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1]], bool)
+    weight = rng.uniform(0.1, 1.0, (3, 4))
+    weight = weight / np.where(on, weight, 0.0).sum(1, keepdims=True)
+    root = rng.normal(size=(3, 4, 2, 2))
+    mean, cov = rng.normal(size=(3, 4, 2)), root @ root.swapaxes(2, 3)
+    with np.errstate(divide="ignore"):
+        log_active = np.log(on.astype(float))
+    many = likely_modes.Belief(np.log(weight), mean, cov, log_active, log_active)
+    share = np.array([0.3, 0.7, 0.0])
+
+    @jax.jit
+    def joined(many):
+        one = target.collapse(jnp.log(5 * share), many)
+        return one, target.moments(one), target.modes(one)
+
+    one, belief, modes = joined(many)
+    np.testing.assert_array_equal(one.log_active == 0, [True, True, True, False])
+    np.testing.assert_array_equal(one.log_next == 0, [True, True, True, False])
+    flat = share[:, None] * np.where(on, weight, 0.0)
+    np.testing.assert_allclose(modes, flat.sum(0))
+    centre = np.einsum("nm,nmd->d", flat, mean)
+    gap = mean - centre
+    spread = np.einsum("nm,nmde->de", flat, cov + gap[..., None] * gap[..., None, :])
+    np.testing.assert_allclose(belief.mean, centre)
+    np.testing.assert_allclose(belief.cov, spread)
+    # What none has active is known of all, so that it can still be activated.
+    np.testing.assert_allclose(np.exp(one.log_weight[3]), share @ weight[:, 3])
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"min_modes": 0}, "min_modes is 0; give at least 1"),
+        ({"temperature": -1.0}, "temperature is -1.0; give 0 or"),
+        ({"temperature": float("nan")}, "temperature is nan; give 0 or"),
+        ({"yardstick": "widest"}, "yardstick is 'widest'"),
+    ],
+)
+def test_bad_settings_are_named(setting, words):
+    with pytest.raises(ValueError, match=words):
+        likely_modes.likely_modes(**setting)
