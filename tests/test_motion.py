@@ -10,7 +10,9 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from reference import models as plain
 
+from jaxtrack import linearize
 from jaxtrack.entries import arrays
+from jaxtrack.models.acceleration import KnownAcceleration
 from jaxtrack.models.motion import (
     ConstantAcceleration,
     ConstantVelocity,
@@ -18,7 +20,8 @@ from jaxtrack.models.motion import (
     PiecewiseAcceleration,
     Singer,
 )
-from jaxtrack.models.turn import TurnRate
+from jaxtrack.models.turn import CoordinatedTurn, TurnRate
+from jaxtrack.types import Gaussian
 
 ONE, TWO, THREE = np.array([0.7]), np.array([0.5, 2.0]), np.array([0.5, 2.0, 9.0])
 CASES = {
@@ -179,6 +182,41 @@ def test_piecewise_acceleration_adds_its_gain_squared_and_delegates(base):
         assert getattr(motion, name) == getattr(base, name)
     if base.linear:
         np.testing.assert_array_equal(motion.transition(t), base.transition(t))
+
+
+@pytest.mark.parametrize("base", [ConstantVelocity(TWO), CoordinatedTurn(0.3, 0.1)])
+def test_known_acceleration_pushes_and_leaves_the_rest(base):
+    """The affine model of a move is F x + G a + noise, however it is linearised."""
+    push, t, state = np.array([20.0, -40.0]), 1.5, np.arange(1.0, 5.0)
+    motion = KnownAcceleration(base, push)
+    gain = np.array([[t**2 / 2, 0], [t, 0], [0, t**2 / 2], [0, t]])
+    methods = linearize.taylor, linearize.unscented
+
+    @jax.jit
+    def models(motion):
+        belief = Gaussian(state, np.eye(4))
+        many = [linearize.motion_affine(motion, belief, t, m) for m in methods]
+        return motion.move(state, t), arrays(many)
+
+    transition, noise = (
+        np.asarray(arrays(x(t))) for x in (base.transition, base.noise)
+    )
+    moved, many = models(motion)
+    np.testing.assert_allclose(moved, transition @ state + gain @ push)
+    for model in many:
+        atol = 1e-12  # of rounding, where the wanted are 0
+        np.testing.assert_allclose(model.matrix, transition, rtol=1e-9, atol=atol)
+        np.testing.assert_allclose(model.offset, gain @ push, rtol=1e-9)
+        np.testing.assert_allclose(model.cov, noise, rtol=1e-9, atol=atol)
+    for name in ("dim", "position_index", "velocity_index"):
+        assert getattr(motion, name) == getattr(base, name)
+
+
+def test_known_acceleration_of_two_parts_of_an_interval_is_that_of_the_whole():
+    motion, state = KnownAcceleration(ConstantVelocity(TWO), TWO), np.arange(1.0, 5.0)
+    move = jax.jit(type(motion).move)
+    parts = move(motion, move(motion, state, 0.3), 0.7)
+    np.testing.assert_allclose(parts, move(motion, state, 1.0))
 
 
 def test_many_parameter_sets_are_a_vmap():

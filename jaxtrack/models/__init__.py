@@ -9,6 +9,7 @@ Write `models.motion.ConstantVelocity(...)`; exchanging a model never touches a 
 """
 
 from jaxtrack.models import (
+    acceleration,
     birth,
     clutter,
     motion,
@@ -23,6 +24,7 @@ from jaxtrack.models import (
 )
 
 __all__ = [
+    "acceleration",
     "birth",
     "clutter",
     "motion",

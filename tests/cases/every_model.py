@@ -15,6 +15,7 @@ from reference import models as plain
 
 from jaxtrack import models
 from jaxtrack.models import (
+    acceleration,
     birth,
     clutter,
     motion,
@@ -89,7 +90,9 @@ def accelerating_case():
     """Accelerations on a line, born where detections were unexplained."""
     target = imm.Params(
         motions=(
-            motion.ConstantAcceleration(array(0.5)),
+            acceleration.KnownAcceleration(
+                motion.ConstantAcceleration(array(0.5)), array(0.7)
+            ),
             motion.Singer(array(2.0), array(5.0)),
         ),
         switching=switching.SojournSwitching(
