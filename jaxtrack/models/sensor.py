@@ -288,9 +288,11 @@ class Timed(NamedTuple):
 def untimed(sensor: PyTree, detection: Array) -> tuple[PyTree, Array]:
     """Returns the sensor and the detection [Z] with which to score and correct.
 
-    A `Timed` sensor becomes `Delayed` by the detection's age, which is cut off; any
-    other comes back with its detection as it was.
+    A `Timed` sensor becomes `Delayed` by the detection's age, which is cut off, one
+    that differs from detection to detection what it is `at` this one; any other comes
+    back with its detection as it was.
     """
     if isinstance(sensor, Timed):
-        return Delayed(sensor.sensor, detection[-1]), detection[:-1]
-    return sensor, detection
+        ageless, plain = untimed(sensor.sensor, detection[:-1])
+        return Delayed(ageless, detection[-1]), plain
+    return (sensor.at(detection) if hasattr(sensor, "at") else sensor), detection

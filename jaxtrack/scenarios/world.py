@@ -138,6 +138,8 @@ def _detect(key: Array, state: Array, motion: Any, sensor: Any) -> Array:
     velocity = jnp.stack([state[i] for i in motion.velocity_index])
     expected = sensor.measure(position, velocity)
     white = jax.random.normal(key, expected.shape, expected.dtype)
+    if hasattr(sensor, "report"):
+        return sensor.report(position, velocity, white)
     noise = dense(linalg.cholesky(sensor.cov())) @ white
     # The residual against zero wraps the angles of the noisy detection.
     return sensor.residual(expected + noise, 0 * expected)

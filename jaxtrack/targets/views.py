@@ -3,7 +3,8 @@
 Many detections are scored against one belief, and few of them correct it. What they
 share, the innovation covariance, the gain and the posterior covariance, is worked out
 once. Where the detections carry ages (`models.sensor.Timed`) each sees the target at
-another place, nothing is shared, and the work is done for each.
+another place, and where the noise depends on the detection (`models.converted`) each
+has another gain: nothing is shared, and the work is done for each.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.targets import views
@@ -91,7 +92,7 @@ def look(method: linearize.Method, params: Any, prior: Gaussian) -> View:
         params: A target's `Params`, with its `sensor` and `layout`.
         prior: mean [D], cov [D, D].
     """
-    if isinstance(params.sensor, Timed):
+    if isinstance(params.sensor, Timed) or hasattr(params.sensor, "at"):
         return View(prior, None)
     affine = linearize.sensor_affine(params.sensor, params.layout, prior, method)
     return View(prior, see(prior, affine))

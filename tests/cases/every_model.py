@@ -18,6 +18,7 @@ from jaxtrack.models import (
     acceleration,
     birth,
     clutter,
+    converted,
     motion,
     probability,
     rest,
@@ -190,6 +191,23 @@ def bearing_case():
     return sensor_case(sensor.Delayed(bearings, value(0.4)), rows, (-3.1,), (3.1,))
 
 
+def converted_case():
+    """A radar's detections in the plane."""
+    noise = array(2.0, 0.02)
+    rows = places(2)[0] + 0.5 * noise[0] * np.random.default_rng(0).normal(
+        size=(3, 3, 2)
+    )
+    seen = converted.ConvertedRangeBearing(noise, STATION)
+    return sensor_case(seen, rows, (-200.0, -200.0), (300.0, 300.0))
+
+
+def correlated_case():
+    noise = np.array([[4.0, 1.0], [1.0, 3.0]])
+    rows = places(2)[0] + 0.5 * np.random.default_rng(0).normal(size=(3, 3, 2))
+    seen = converted.CorrelatedPosition(noise)
+    return sensor_case(seen, rows, (-200.0, -200.0), (300.0, 300.0))
+
+
 def spatial_case():
     noise, station = array(0.02, 0.01, 2.0), array(5.0, -4.0, 2.0)
     rows = [[plain.spherical(p, station, HEADING) for p in row] for row in places(3)[0]]
@@ -204,6 +222,8 @@ CASES = {
     "turning": turning_case,
     "range rate": range_rate_case,
     "bearing": bearing_case,
+    "converted": converted_case,
+    "correlated": correlated_case,
     "spatial": spatial_case,
 }
 
