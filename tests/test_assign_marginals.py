@@ -1,0 +1,201 @@
+"""Tests of `assign.marginals`, `exact` and `belief` against sums over all events."""
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import assign as reference
+
+from jaxtrack.assign import belief, exact, marginals
+
+INF = np.inf
+SHAPES = [(1, 0), (2, 0), (1, 1), (2, 1), (4, 4), (3, 6), (6, 3), (5, 7)]
+
+
+def draw(shape, count=40):
+    """Matrices from empty to full; half of them also lack some misses."""
+    rng = np.random.default_rng(sum(shape))
+    drawn = [reference.scores(rng, *shape, gate) for gate in rng.random(count)]
+    log_score = np.array(drawn).reshape(count, shape[0], shape[1] + 1)
+    log_score[::2, :, -1][rng.random((len(log_score[::2]), shape[0])) < 0.5] = -INF
+    return log_score
+
+
+def solve(log_score, **settings):
+    solver = jax.vmap(lambda one: marginals.marginals(one, **settings))
+    return jax.tree.map(np.asarray, jax.jit(solver)(jnp.asarray(log_score)))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_exact_equals_enumeration(shape):
+    log_score = draw(shape)
+    found = solve(log_score)
+    expected = [reference.marginals(one) for one in log_score]
+    prob, log_norm = (np.array(x) for x in zip(*expected, strict=True))
+    # Probabilities, so that an absolute error is one relative to 1.
+    np.testing.assert_allclose(found.prob, prob, atol=1e-12, rtol=1e-9)
+    fits = log_norm > -INF
+    np.testing.assert_array_equal(found.feasible, fits)
+    np.testing.assert_allclose(found.log_norm[fits], log_norm[fits], rtol=1e-12)
+    assert (found.log_norm[~fits] == -INF).all()
+    assert found.exact.all()
+    assert found.converged.all()
+    assert (found.num_iterations == 0).all()
+
+
+def blocks(rng, sizes, num_detections):
+    """Tracks in clusters of these sizes, mixed up, each with detections of its own."""
+    num = sum(sizes)
+    log_score = np.full((num, num_detections * len(sizes) + 1), -INF)
+    log_score[:, -1] = rng.normal(size=num)
+    tracks = np.split(rng.permutation(num), np.cumsum(sizes)[:-1])
+    columns = rng.permutation(log_score.shape[1] - 1).reshape(len(sizes), -1)
+    for own, theirs in zip(tracks, columns, strict=True):
+        log_score[np.ix_(own, theirs)] = 2 * rng.normal(size=(len(own), len(theirs)))
+    return log_score, tracks
+
+
+def test_clusters_are_summed_apart_and_what_is_too_large_is_told():
+    log_score, tracks = blocks(np.random.default_rng(1), [2, 4, 1, 3], 3)
+    alone = {len(own): reference.marginals(log_score[own]) for own in tracks}
+    for size in 3, 4:
+        found = solve(log_score[None], max_cluster=size, method="exact")
+        for own in tracks:
+            prob, _ = alone[len(own)]
+            assert (found.exact[0, own] == (len(own) <= size)).all()
+            # Probabilities, so that an absolute error is one relative to 1.
+            right = prob if len(own) <= size else 0 * prob
+            np.testing.assert_allclose(found.prob[0, own], right, atol=1e-12)
+        expected = sum(norm for key, (_, norm) in alone.items() if key <= size)
+        np.testing.assert_allclose(found.log_norm[0], expected, rtol=1e-12)
+        assert found.feasible[0] == (size == 4)
+
+
+def test_auto_leaves_to_belief_what_is_too_large():
+    log_score, tracks = blocks(np.random.default_rng(2), [2, 5, 1, 3, 4], 3)
+    table = solve(log_score[None], max_cluster=4, method="exact")
+    passed = solve(log_score[None], method="belief")
+    both = solve(log_score[None], max_cluster=4)
+    large = np.sort(tracks[1])
+    np.testing.assert_array_equal(np.flatnonzero(~both.exact[0]), large)
+    # Messages settle to 1e-12.
+    np.testing.assert_allclose(both.prob[0, large], passed.prob[0, large], atol=1e-10)
+    rest = both.exact[0]
+    chex.assert_trees_all_equal(both.prob[0, rest], table.prob[0, rest])
+    alone = solve(log_score[None, large], method="belief").log_norm
+    np.testing.assert_allclose(both.log_norm, table.log_norm + alone, rtol=1e-10)
+    assert both.feasible.all()
+    assert both.converged.all()
+    assert not passed.exact.any()
+
+
+def test_belief_is_exact_on_trees():
+    log_score = np.full((4, 5), -INF)
+    log_score[:, -1] = [0.5, -1.0, 0.3, 2.0]
+    chain = [(0, 0, 1.0), (1, 0, 2.0), (1, 1, 0.5), (2, 1, 3.0), (3, 3, 1.0)]
+    for n, k, score in chain:
+        log_score[n, k] = score
+    found = solve(log_score[None], method="belief")
+    prob, log_norm = reference.marginals(log_score)
+    # Messages settle to 1e-12.
+    np.testing.assert_allclose(found.prob[0], prob, atol=1e-10)
+    np.testing.assert_allclose(found.log_norm[0], log_norm, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("gate", "error"), [(0.3, 0.02), (0.6, 0.1), (1.0, 0.15)])
+def test_belief_errs_by_little_and_never_overstates_the_norm(gate, error):
+    rng = np.random.default_rng(0)
+    log_score = np.array([reference.scores(rng, 5, 6, gate) for _ in range(100)])
+    passed, table = solve(log_score, method="belief"), solve(log_score)
+    assert passed.converged.all()
+    worst = np.abs(passed.prob - table.prob).max((1, 2))
+    assert worst.mean() < error
+    # Both are of order ten, and equal where there is no loop.
+    assert (passed.log_norm <= table.log_norm + 1e-9).all()
+    np.testing.assert_allclose(passed.prob.sum(2), 1)
+
+
+def test_messages_survive_scores_that_outweigh_all_others():
+    log_score = np.array([[60.0, 2.0, 0.0], [1.0, 1.0, -60.0], [-30.0, 3.0, -30.0]])
+    expected, _ = reference.marginals(log_score[:2])
+    found = solve(log_score[None, :2].astype(np.float32), method="belief")
+    # One part in 1e5: float32, and a loop that hardly matters.
+    np.testing.assert_allclose(found.prob[0], expected, atol=1e-4)
+    assert np.isfinite(solve(log_score[None], method="belief").prob).all()
+
+
+@pytest.mark.parametrize("method", marginals.METHODS)
+def test_derivatives_of_all_orders_are_those_of_finite_differences(method):
+    log_score = reference.scores(np.random.default_rng(3), 4, 4, 0.7)
+    somewhere = np.argwhere(log_score > -INF)
+
+    def solved(score):
+        found = marginals.marginals(score, method, max_cluster=3)
+        return found.log_norm, found.prob, (found.prob**2).sum()
+
+    if method == "exact":  # not all of it is feasible with clusters of three
+
+        def solved(score):
+            found = exact.exact(score)
+            return found.log_norm, found.prob, (found.prob**2).sum()
+
+    first = jax.jit(jax.jacrev(solved))(log_score)
+    second = jax.jit(jax.jacfwd(jax.jacrev(solved)))(log_score)
+    chex.assert_tree_all_finite((first, second))
+    value, slope = jax.jit(solved), jax.jit(jax.jacrev(solved))
+    step = 1e-5
+    for n, k in somewhere:
+        move = np.zeros_like(log_score)
+        move[n, k] = step
+        for function, exact_slope in (value, first), (slope, second):
+            ahead, behind = function(log_score + move), function(log_score - move)
+            for x, y, own in zip(ahead, behind, exact_slope, strict=True):
+                # Differences of numbers of order one, over a step of 1e-5.
+                np.testing.assert_allclose(own[..., n, k], (x - y) / 2e-5, atol=1e-6)
+    outside = log_score == -INF
+    assert all((np.asarray(x)[..., outside] == 0).all() for x in first)
+    if method != "belief":
+        np.testing.assert_allclose(first[0], solved(log_score)[1], atol=1e-12)
+
+
+def test_what_is_infeasible_gives_zeros_and_finite_gradients():
+    log_score = np.array([[1.0, -INF, -INF], [2.0, -INF, -INF], [0.0, 1.0, 0.0]])
+    for method in marginals.METHODS:
+        found = solve(log_score[None], method=method)
+        assert not found.feasible[0]
+        assert (found.prob == 0).all()
+        assert found.log_norm[0] == -INF
+
+    def loss(score):
+        found = marginals.marginals(score, "auto", max_cluster=2)
+        return (found.prob**2).sum() + jnp.where(found.feasible, found.log_norm, 0.0)
+
+    chex.assert_tree_all_finite(jax.jit(jax.grad(loss))(log_score))
+
+
+def test_float32_is_near_float64():
+    log_score = draw((5, 7))
+    double = solve(log_score)
+    single = solve(log_score.astype(np.float32))
+    assert single.prob.dtype == np.float32
+    # Sums of scores up to 30, so seven digits of a float32 leave five.
+    np.testing.assert_allclose(single.prob, double.prob, atol=1e-4)
+
+
+def test_large_scores_neither_overflow_nor_vanish():
+    log_score = draw((5, 7))
+    shift = np.random.default_rng(0).normal(size=(5, 1)) * 400
+    found, moved = solve(log_score), solve(log_score + shift)
+    # The shift is the same for all joint events; scores near 400 lose three digits.
+    np.testing.assert_allclose(moved.prob, found.prob, atol=1e-10)
+
+
+def test_settings_are_checked():
+    log_score = jnp.zeros((2, 3))
+    with pytest.raises(ValueError, match="method is 'best'; give one of auto"):
+        marginals.marginals(log_score, "best")
+    with pytest.raises(ValueError, match="max_cluster is 21; give 1 to 20"):
+        exact.exact(log_score, 21)
+    with pytest.raises(ValueError, match="max_iterations is 0; give at least 1"):
+        belief.belief(log_score, 0)
