@@ -125,3 +125,10 @@ def test_float32_finds_the_same_events():
     double = many(jnp.asarray(log_score))
     assert single.log_score.dtype == jnp.float32
     chex.assert_trees_all_equal(single.column, double.column)
+
+
+def test_no_tracks_at_all_are_no_trouble():
+    found = jax.jit(best.best)(jnp.zeros((0, 4)))
+    assert found.feasible
+    assert found.log_score == 0
+    assert found.detection_price.shape == (3,)

@@ -281,7 +281,9 @@ def _place(cost: Array, miss: Array) -> tuple[Array, Array, Array, Array]:
         The column of each row, K where it is missed, [N, R]; whether each has a place,
         [R]; and the potentials of rows [N, R] and columns [K, R].
     """
-    num_rows, num_columns, _ = cost.shape
+    num_rows, num_columns, number = cost.shape
+    if not num_rows:
+        return miss.astype(jnp.int32), jnp.ones(number, bool), miss, cost.sum(0)
     state = jax.lax.while_loop(
         lambda state: (state.at < num_rows).any(),
         lambda state: _move(_scan(cost, miss, state)),

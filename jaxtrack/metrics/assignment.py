@@ -1,24 +1,24 @@
 """Pairs the members of two masked sets of points exactly, for `ospa` and `gospa`.
 
-The solver is `optax.assignment.hungarian_algorithm`: exact, cubic in the number of
-slots, jitted. Both metrics charge a pair min(d, c)^p, d the Euclidean distance and c
-the cut-off, and both are least under the same pairing: as many pairs as the smaller
-set has members, with the least sum of min(d, c)^p.
+The solver is `jaxtrack.assign.best`. Both metrics charge a pair min(d, c)^p, d the
+Euclidean distance and c the cut-off, and both are least under the same pairing: as many
+pairs as the smaller set has members, with the least sum of min(d, c)^p.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.metrics import assignment
-    >>> print(assignment.best(jnp.array([[4.0, 1.0], [2.0, 0.0]])))
-    [1 0]
+    >>> left, right = jnp.array([[0.0], [3.0]]), jnp.array([[4.0], [1.0]])
+    >>> both = jnp.array([True, True])
+    >>> print(assignment.match(left, both, right, both, 10.0, 2.0).distance)
+    [1. 1.]
 """
 
 import math
 from typing import NamedTuple
 
 import chex
-import jax
 import jax.numpy as jnp
-import optax
 
+from jaxtrack.assign.best import best
 from jaxtrack.types import Array
 
 
@@ -36,28 +36,6 @@ class Pairs(NamedTuple):
     close: Array
     num_truth: Array
     num_estimate: Array
-
-
-def best(cost: Array) -> Array:
-    """Finds the assignment with the least total cost, exactly.
-
-    The answer is a choice, so no gradient flows through it; that of the sum of the
-    chosen costs is right wherever the best assignment is unique.
-
-    Args:
-        cost: Finite costs, [N, L] with N <= L.
-
-    Returns:
-        The column of each row, [N], all different.
-    """
-    num_rows, num_columns = cost.shape
-    if num_rows > num_columns:
-        raise ValueError(
-            f"cost has {num_rows} rows and {num_columns} columns; transpose it, as "
-            f"every row needs a column of its own."
-        )
-    rows, columns = optax.assignment.hungarian_algorithm(jax.lax.stop_gradient(cost))
-    return jnp.zeros(num_rows, columns.dtype).at[rows].set(columns)
 
 
 def distances(left: Array, right: Array) -> Array:
@@ -107,17 +85,16 @@ def match(
         jnp.where(estimate_exists[:, None], estimate, 0),
     )
 
-    # Each truth has a column of its own that stands for "no partner", at the price of
-    # the cut-off; all that is not close costs more, so the solver does not dwell on it.
-    alone = jnp.eye(num_truth, num_estimate + num_truth, num_estimate, dtype=bool)
-    close = jnp.pad(both & (distance < cutoff), ((0, 0), (0, num_truth)))
-    distance = jnp.pad(distance, ((0, 0), (0, num_truth)))
-    distance = jnp.where(close, distance, cutoff)
-    # In units of the cut-off, so that float32 carries any scale.
-    relative = (distance / cutoff) ** order
-    column = best(jnp.where(close, relative, jnp.where(alone, 1.0, 2.0)))
+    # What is not close stays without a partner, at the price of the cut-off: 1 in
+    # units of it, in which float32 carries any scale.
+    close = both & (distance < cutoff)
+    relative = jnp.where(close, (jnp.where(close, distance, 0) / cutoff) ** order, 1)
+    price = jnp.where(close, -relative, -jnp.inf)
+    column = best(jnp.pad(price, ((0, 0), (0, 1)), constant_values=-1)).column
 
     row = jnp.arange(num_truth)
+    close = jnp.pad(close, ((0, 0), (0, 1)))
+    distance = jnp.where(close, jnp.pad(distance, ((0, 0), (0, 1))), cutoff)
     return Pairs(
         distance=distance[row, column],
         close=close[row, column],
