@@ -13,9 +13,18 @@ from jaxtrack.metrics import (
     assignment,
     cardinality,
     consistency,
+    errors,
     gospa,
     identity,
     ospa,
 )
 
-__all__ = ["assignment", "cardinality", "consistency", "gospa", "identity", "ospa"]
+__all__ = [
+    "assignment",
+    "cardinality",
+    "consistency",
+    "errors",
+    "gospa",
+    "identity",
+    "ospa",
+]
