@@ -13,6 +13,24 @@ detection a column of -inf. Each says whether its answer is feasible.
     [0 1]
 """
 
-from jaxtrack.assign import belief, best, clusters, exact, k_best, lanes, marginals
+from jaxtrack.assign import (
+    belief,
+    best,
+    clusters,
+    exact,
+    k_best,
+    lanes,
+    marginals,
+    soft,
+)
 
-__all__ = ["belief", "best", "clusters", "exact", "k_best", "lanes", "marginals"]
+__all__ = [
+    "belief",
+    "best",
+    "clusters",
+    "exact",
+    "k_best",
+    "lanes",
+    "marginals",
+    "soft",
+]
