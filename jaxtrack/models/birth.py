@@ -132,10 +132,7 @@ class DetectionBirth(NamedTuple):
 
     def _prior(self, motion: PyTree, place: Gaussian, age: Array) -> Gaussian:
         """Returns the state [D] of a new target, given the belief about its place."""
-        dim, where = motion.dim, motion.position_index
-        further = [
-            i for i in range(dim) if i not in where and i not in motion.velocity_index
-        ]
+        dim, where, further = motion.dim, motion.position_index, further_index(motion)
         chex.assert_shape(self.velocity_std, (len(motion.velocity_index),))
         chex.assert_shape(self.extra_std, (len(further),))
         mean: list[Any] = [0.0] * dim
@@ -153,3 +150,31 @@ class DetectionBirth(NamedTuple):
         for a, i in enumerate(further):
             cov[i][i] = self.extra_std[a] ** 2
         return Gaussian(linalg.rows([mean])[0], linalg.rows(cov))
+
+
+def further_index(motion: PyTree) -> list[int]:
+    """Returns where the components stand that are no position and no velocity."""
+    known = {*motion.position_index, *motion.velocity_index}
+    return [i for i in range(motion.dim) if i not in known]
+
+
+def likeliest(
+    births: MultiBernoulliBirth, max_births: int
+) -> tuple[MultiBernoulliBirth, Array]:
+    """Keeps the likeliest places.
+
+    Args:
+        births: Any number of places, at least one.
+        max_births: Places kept; where there are fewer, some stay empty.
+
+    Returns:
+        `max_births` places, and the expected number of births that found no room.
+    """
+    prob = births.existence_prob
+    if (short := max_births - prob.size) > 0:
+        prob = jnp.concatenate([prob, jnp.zeros(short, prob.dtype)])
+    likely, kept = jax.lax.top_k(prob, max_births)
+    places = jax.tree.map(
+        lambda x: x[jnp.minimum(kept, births.existence_prob.size - 1)], births
+    )
+    return places._replace(existence_prob=likely), prob.sum() - likely.sum()
