@@ -5,6 +5,34 @@
 ['init', 'step']
 """
 
-from jaxtrack.trackers import bernoulli, cbmember
+from jaxtrack.trackers import (
+    association,
+    bernoulli,
+    cbmember,
+    gnn,
+    initiation,
+    jpda,
+    jpda_star,
+    management,
+    nearest,
+    options,
+    pda,
+    set_jpda,
+    single_scan,
+)
 
-__all__ = ["bernoulli", "cbmember"]
+__all__ = [
+    "association",
+    "bernoulli",
+    "cbmember",
+    "gnn",
+    "initiation",
+    "jpda",
+    "jpda_star",
+    "management",
+    "nearest",
+    "options",
+    "pda",
+    "set_jpda",
+    "single_scan",
+]

@@ -22,7 +22,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import mixture
-from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
+from jaxtrack.models.birth import (
+    DetectionBirth,
+    MultiBernoulliBirth,
+    PoissonBirth,
+    likeliest,
+)
 from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target
 
 
@@ -210,14 +215,7 @@ def from_unexplained(
         unexplained_prob,
         scan.interval,
     )
-    prob = births.existence_prob
-    if (short := max_births - prob.size) > 0:
-        prob = jnp.concatenate([prob, jnp.zeros(short, prob.dtype)])
-    likely, kept = jax.lax.top_k(prob, max_births)
-    places = jax.tree.map(
-        lambda x: x[jnp.minimum(kept, births.existence_prob.size - 1)], births
-    )
-    return places._replace(existence_prob=likely), prob.sum() - likely.sum()
+    return likeliest(births, max_births)
 
 
 def tell_apart(

@@ -226,6 +226,17 @@ CASES = {
     "cbmember_unscented": unscented_case,
     "cbmember_far_field": far_field_case,
 }
+
+
+def associating_case(name):
+    """The trackers that keep one belief a track have a file of their own."""
+    from cases import associating
+
+    return associating.CASES[name]()
+
+
+ASSOCIATING = ("nearest", "gnn", "ipda", "jpda", "jipda")
+CASES |= {name: functools.partial(associating_case, name) for name in ASSOCIATING}
 # The first compiles for a minute; the second is the tracker of `cbmember_imm`.
 SECOND_VARIANTS = {"cbmember_unscented", "cbmember_far_field"}
 
