@@ -10,7 +10,14 @@ from jaxtrack.data import files
 from jaxtrack.data.errors import DataError
 from jaxtrack.metrics import gospa
 from jaxtrack.models.rest import Rest
-from jaxtrack.recorded import guess, picture, scoring, settings, tracking
+from jaxtrack.recorded import (
+    guess,
+    picture,
+    reading,
+    scoring,
+    settings,
+    tracking,
+)
 
 NAMES = np.array(["Ada", "Bob"])
 SPEED = np.array([[6.0, 1.0], [-3.0, 4.0]])
@@ -31,7 +38,7 @@ def table(times, noise=2.0, seed=0):
 @pytest.fixture(scope="module")
 def recording():
     data = table(np.arange(0.0, 120.0, 8.0))
-    return data, tracking.track(data, settings.parse(SMALL))
+    return data, tracking.track(data, reading.parse(SMALL))
 
 
 def test_two_ships_become_two_tracks(recording):
@@ -74,7 +81,7 @@ def test_scores_are_those_of_the_metric_scan_by_scan(recording):
 def test_identities_never_reach_the_tracker(recording):
     data, result = recording
     renamed = data._replace(other={"ship": data.other["ship"][::-1]})
-    again = tracking.track(renamed, settings.parse(SMALL))
+    again = tracking.track(renamed, reading.parse(SMALL))
     chex.assert_trees_all_equal(again.estimates, result.estimates)
 
 
@@ -82,7 +89,7 @@ def test_ages_place_a_ship_at_the_end_of_its_scan():
     # All but the first reports are 8 s old when their scan of 20 s ends.
     data = table([0.0, *np.arange(32.0, 300.0, 20.0)])
     text = "[scans]\nperiod = 20\n[modes.only]\nnoise_density = 0.5\n"
-    result = tracking.track(data, settings.parse(SMALL + text))
+    result = tracking.track(data, reading.parse(SMALL + text))
     assert result.scans.scan.detections.shape[-1] == 3
     assert result.scans.time[-1] == data.time[-1] + 8
     mean = result.estimates.mean[-1][result.estimates.exists[-1]][:, [0, 2]]
@@ -93,7 +100,7 @@ def test_ages_place_a_ship_at_the_end_of_its_scan():
 
 def test_scans_after_the_last_detection_are_not_scored():
     data = table(np.arange(0.0, 100.0, 8.0))
-    made = settings.parse(SMALL + "[scans]\nperiod = 9\n")
+    made = reading.parse(SMALL + "[scans]\nperiod = 9\n")
     result = tracking.track(data, made)
     scores = scoring.score(result, data, "ship")
     assert result.scans.time[-1] > data.time[-1]
@@ -112,7 +119,7 @@ def test_noise_and_speed_are_guessed_from_the_data(noise):
 
 def test_ages_change_no_guess():
     data = table(np.arange(0.0, 3200.0, 8.0))
-    made = settings.parse("[scans]\nperiod = 8\n")
+    made = reading.parse("[scans]\nperiod = 8\n")
     plain = guess.motion(tracking.group(data, settings.Settings()))
     timed = guess.motion(tracking.group(data, made))
     np.testing.assert_allclose(timed, plain, rtol=0.05)
@@ -121,7 +128,7 @@ def test_ages_change_no_guess():
 def test_guesses_leave_alone_what_is_set():
     data = table(np.arange(0.0, 100.0, 8.0))
     text = "[sensor]\nnoise_std = 7\n[targets]\nbirth_rate = 0\n[score]\ncutoff = 3\n"
-    made = settings.parse(text)
+    made = reading.parse(text)
     full = guess.complete(made, tracking.group(data, made))
     assert (full.sensor.noise_std, full.targets.birth_rate) == (7.0, 0.0)
     assert (full.score.cutoff, full.targets.lifetime) == (3.0, 80.0)
@@ -130,10 +137,10 @@ def test_guesses_leave_alone_what_is_set():
 
 
 def test_the_template_changes_nothing_and_names_everything():
-    assert settings.parse(settings.text("template")) == settings.Settings()._replace(
-        modes=settings.parse(settings.text("template")).modes
+    assert reading.parse(reading.text("template")) == settings.Settings()._replace(
+        modes=reading.parse(reading.text("template")).modes
     )
-    lines = settings.text("template").splitlines()
+    lines = reading.text("template").splitlines()
     named = {line.lstrip("# ").split(" =")[0] for line in lines if " = " in line}
     for section in settings.Settings()[:4] + settings.Settings()[5:]:
         assert set(section._fields) <= named
@@ -141,16 +148,16 @@ def test_the_template_changes_nothing_and_names_everything():
 
 
 def test_the_template_still_holds_where_its_comments_are_removed():
-    lines = settings.text("template").splitlines()
+    lines = reading.text("template").splitlines()
     bare = [x.removeprefix("# ") if " = " in x and x[0] == "#" else x for x in lines]
-    made = settings.parse("\n".join(bare))
+    made = reading.parse("\n".join(bare))
     assert made.scans.period == 60.0
     assert made.tracker.max_tracks == 400
     assert None not in [x for section in made[1:4] for x in section]
 
 
 def test_settings_come_back_from_their_dictionary():
-    made = settings.harbour()
+    made = reading.harbour()
     told = settings.as_dict(made)
     assert told["modes"]["moored"]["rest"] is True
     assert told["scans"]["period"] == made.scans.period
@@ -181,7 +188,7 @@ def test_settings_come_back_from_their_dictionary():
 )
 def test_wrong_settings_are_named_in_one_sentence(text, message):
     with pytest.raises(DataError, match=message):
-        settings.parse(text, "f.toml")
+        reading.parse(text, "f.toml")
 
 
 def test_one_detection_and_one_scan_are_refused():
@@ -190,7 +197,7 @@ def test_one_detection_and_one_scan_are_refused():
     with pytest.raises(DataError, match="only one detection"):
         tracking.track(files.Table(*first, {}, None, None))
     with pytest.raises(DataError, match="in one scan"):
-        tracking.track(data, settings.parse("[scans]\nperiod = 60"))
+        tracking.track(data, reading.parse("[scans]\nperiod = 60"))
 
 
 def test_too_few_detections_to_guess_from_ask_for_settings():
@@ -244,6 +251,6 @@ def test_a_target_at_rest_stays_and_forgets_its_velocity():
 @pytest.mark.slow
 def test_the_harbour_is_tracked():
     data = files.read_detections(files.harbour_path())
-    result = tracking.track(data, settings.harbour())
+    result = tracking.track(data, reading.harbour())
     scores = scoring.score(result, data, "MMSI")
     assert scores.identity.idf1 > 0.45

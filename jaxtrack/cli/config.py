@@ -24,6 +24,6 @@ def config(
 
 def text(harbour: bool) -> str:
     """Returns the template, or the settings for New York harbour."""
-    from jaxtrack.recorded import settings
+    from jaxtrack.recorded import reading
 
-    return settings.text("harbour" if harbour else "template")
+    return reading.text("harbour" if harbour else "template")

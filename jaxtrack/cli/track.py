@@ -39,6 +39,10 @@ def track(
     truth_column: Annotated[
         str | None, typer.Option(help="Identities, to score against; never tracked.")
     ] = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(help="cbmember, nearest, gnn, pda, ipda, jpda or jipda."),
+    ] = None,
     harbour: Annotated[
         bool, typer.Option("--harbour", help="Track the ships of New York harbour.")
     ] = False,
@@ -56,14 +60,16 @@ def track(
     common.need("pandas", "matplotlib", "scipy")
     common.start_jax(precision)
     from jaxtrack.data import files
-    from jaxtrack.recorded import scoring, settings, tracking
+    from jaxtrack.recorded import reading, scoring, settings, tracking
 
     with common.bad_input(ValueError), warned():
         if harbour:
             file, truth_column = files.harbour_path(), truth_column or "MMSI"
-        chosen = settings.harbour() if harbour else settings.Settings()
+        chosen = reading.harbour() if harbour else settings.Settings()
         if config:
-            chosen = settings.load(config)
+            chosen = reading.load(config)
+        if tracker is not None:
+            chosen = settings.with_algorithm(chosen, tracker)
         table = read(file, chosen)
         if truth_column is not None:
             files.further_column(table, truth_column)

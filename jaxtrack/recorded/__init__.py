@@ -10,6 +10,13 @@
 True
 """
 
-from jaxtrack.recorded import guess, picture, scoring, settings, tracking
+from jaxtrack.recorded import (
+    guess,
+    picture,
+    reading,
+    scoring,
+    settings,
+    tracking,
+)
 
-__all__ = ["guess", "picture", "scoring", "settings", "tracking"]
+__all__ = ["guess", "picture", "reading", "scoring", "settings", "tracking"]

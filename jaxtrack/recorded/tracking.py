@@ -1,8 +1,8 @@
 """From a table of detections and settings to tracks.
 
-The tracker is the cardinality balanced multi-Bernoulli filter on a bank of modes, as
-`trackers.cbmember` and `targets.imm` document. In scans of a fixed length each
-detection keeps the time at which it was taken (`models.sensor.Timed`).
+Any tracker of `settings.ALGORITHMS` on a bank of modes (`targets.imm`); by default the
+cardinality balanced multi-Bernoulli filter. In scans of a fixed length each detection
+keeps the time at which it was taken (`models.sensor.Timed`).
 
     >>> import numpy as np
     >>> from jaxtrack.data import files
@@ -16,7 +16,9 @@ detection keeps the time at which it was taken (`models.sensor.Timed`).
 """
 
 import functools
+import inspect
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -29,10 +31,27 @@ from jaxtrack.data.errors import DataError
 from jaxtrack.data.files import Table
 from jaxtrack.models.rest import Rest
 from jaxtrack.recorded import guess
-from jaxtrack.recorded.settings import Mode, Settings, known
+from jaxtrack.recorded.settings import Algorithm, Mode, Settings, known
 from jaxtrack.targets import imm
-from jaxtrack.trackers import cbmember
-from jaxtrack.types import Tracker
+from jaxtrack.trackers import (
+    cbmember,
+    gnn,
+    jpda,
+    management,
+    nearest,
+    options,
+    pda,
+    single_scan,
+)
+from jaxtrack.types import Target, Tracker
+
+CERTAIN: dict[str, Callable[..., Tracker]] = {
+    "nearest": nearest.nearest,
+    "gnn": gnn.gnn,
+    "pda": pda.pda,
+    "jpda": jpda.jpda,
+}
+INTEGRATED: dict[str, Callable[..., Tracker]] = {"ipda": pda.ipda, "jipda": jpda.jipda}
 
 
 class Result(NamedTuple):
@@ -105,7 +124,7 @@ def group(table: Table, settings: Settings) -> grouping.Scans:
     return grouping.group_scans(table.time, table.xy, period, size, ages=timed)
 
 
-def make(table: Table, settings: Settings) -> tuple[Tracker, cbmember.Params]:
+def make(table: Table, settings: Settings) -> tuple[Tracker, Any]:
     """Makes the tracker and its parameters.
 
     Args:
@@ -118,9 +137,10 @@ def make(table: Table, settings: Settings) -> tuple[Tracker, cbmember.Params]:
     sensor: Any = models.sensor.Position(noise * two)
     if settings.scans.period is not None:
         sensor = models.sensor.Timed(sensor)
-    targets, capacity = settings.targets, settings.tracker
+    targets = settings.targets
     share = jnp.array([mode.birth_share for mode in modes], float)
-    params = cbmember.Params(
+    family = cbmember if settings.tracker.name == "cbmember" else single_scan
+    params = family.Params(
         target=imm.Params(
             motions=tuple(_motion(mode) for mode in modes),
             switching=_switching(modes),
@@ -143,7 +163,33 @@ def make(table: Table, settings: Settings) -> tuple[Tracker, cbmember.Params]:
             high=jnp.asarray(table.xy.max(0) + 10 * noise, float),
         ),
     )
-    return cbmember.cbmember(imm.imm(), **capacity._asdict()), params
+    return algorithm(settings.tracker, imm.imm()), params
+
+
+def algorithm(chosen: Algorithm, target: Target) -> Tracker:
+    """Makes the tracker that the settings name."""
+    if chosen.name == "cbmember":
+        given = chosen._asdict()
+        own = inspect.signature(cbmember.cbmember).parameters
+        return cbmember.cbmember(
+            target, **{name: given[name] for name in own if name in given}
+        )
+    choices = options.Options(
+        max_tracks=known(chosen.max_tracks),
+        max_births=known(chosen.max_births),
+        gate_prob=chosen.gate_prob,
+        start_threshold=chosen.start_threshold,
+    )
+    if chosen.name in INTEGRATED:
+        choices["rule"] = management.Existence(chosen.confirm_prob, chosen.drop_prob)
+        return INTEGRATED[chosen.name](target, **choices)
+    choices["rule"] = management.MofN(
+        chosen.confirm_hits,
+        chosen.confirm_scans,
+        chosen.drop_misses,
+        chosen.drop_scans,
+    )
+    return CERTAIN[chosen.name](target, **choices)
 
 
 run = functools.partial(jax.jit, static_argnums=0)(engine.run)
