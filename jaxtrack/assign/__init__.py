@@ -21,7 +21,10 @@ from jaxtrack.assign import (
     k_best,
     lanes,
     marginals,
+    paths,
+    sample,
     soft,
+    subsets,
 )
 
 __all__ = [
@@ -32,5 +35,8 @@ __all__ = [
     "k_best",
     "lanes",
     "marginals",
+    "paths",
+    "sample",
     "soft",
+    "subsets",
 ]

@@ -28,8 +28,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.assign import clusters
-from jaxtrack.assign.best import best
+from jaxtrack.assign import clusters, subsets
+from jaxtrack.assign.best import solvable
 from jaxtrack.assign.lanes import lanes
 from jaxtrack.types import Array
 
@@ -72,15 +72,8 @@ def exact(log_score: Array, max_cluster: int = MAX_CLUSTER) -> Exact:
     if not 1 <= max_cluster <= 20:
         raise ValueError(f"max_cluster is {max_cluster}; give 1 to 20")
     size = min(max_cluster, log_score.shape[0])
-    found = best(log_score)
-    # Where nothing is feasible, all tracks are missed at no price instead.
-    missed = jnp.full(log_score.shape, -jnp.inf).at[:, -1].set(0.0)
-    missed = missed.astype(log_score.dtype)
-    scores = jnp.where(found.feasible, log_score, missed)
-    prices = (
-        jnp.where(found.feasible, found.track_price, 0.0),
-        jnp.where(found.feasible, found.detection_price, 0.0),
-    )
+    scores, found = solvable(log_score)
+    prices = found.track_price, found.detection_price
     prob, log_norm, fits = _marginals(size, scores, *prices)
     return Exact(
         prob=jnp.where(found.feasible, prob, 0.0),
@@ -163,128 +156,17 @@ def _tabulate(
     Returns:
         Not normalised, [N, K + 1, R].
     """
-    num_tracks, num_items, number = weight.shape
-    if not num_items:
+    if not spare.size:
         return miss[:, None]
+    given = subsets.steps(num_bits, weight, miss, spare, order)
+    pairs, lone = subsets.forward(given, subsets.backward(given))
 
-    def pick(table: Array, index: Array) -> Array:
-        """Returns table [L, R] at an index [..., R]."""
-        flat = jnp.take_along_axis(table, index.reshape(-1, number), axis=0)
-        return flat.reshape(index.shape)
-
-    member, there = order.member[:, :num_bits], order.there[:, :num_bits]
-    flat = weight.reshape(-1, number)
-    index = member * num_items + order.item[:, None]
-    own = jnp.where(there, pick(flat, index), 0.0)  # [K, C, R]
-    misses = jnp.where(there, pick(miss, member), 1.0)
-    given = _Step(
-        own, misses, pick(spare, order.item), order.used, order.first, order.last
-    )
-    pairs, lone = _forward(given, _backward(given))
-
+    number = weight.shape[-1]
     bit = jnp.minimum(order.bit, num_bits - 1)
     place = order.step[None] * num_bits + bit[:, None]  # [N, K, R]
     joined = (weight > 0) & order.fits[:, None]
-    pair = jnp.where(joined, pick(pairs.reshape(-1, number), place), 0.0)
+    pair = jnp.where(joined, subsets.pick(pairs.reshape(-1, number), place), 0.0)
     place = jnp.maximum(order.end, 0) * num_bits + bit
-    alone = pick(lone.reshape(-1, number), place)
+    alone = subsets.pick(lone.reshape(-1, number), place)
     alone = jnp.where(order.shared, alone, miss)
     return jnp.concatenate([pair, alone[:, None]], 1)
-
-
-class _Step(NamedTuple):
-    """A detection; see `clusters.Steps`. With a leading axis, many.
-
-    Attributes:
-        weight: Of each bit, [C, R].
-        miss: Weight of a miss of each bit, 1 for bits that are not there, [C, R].
-        spare: Weight of the detection if no track takes it, [R].
-        used: [R] (bool).
-        first: [R] (bool).
-        last: [R] (bool).
-    """
-
-    weight: Array
-    miss: Array
-    spare: Array
-    used: Array
-    first: Array
-    last: Array
-
-
-def _backward(steps: _Step) -> Array:
-    """Returns the weight of all that may come after a step, [K, 2^C, R].
-
-    It depends on the subset of tracks that have a detection by then.
-    """
-
-    def one(after: Array, step: _Step) -> tuple[Array, Array]:
-        after = jnp.where(step.last[None], _closing(step.miss), after)
-        before = after * step.spare[None]
-        for bit, weight in enumerate(step.weight):
-            _, high = _halves(after, bit)
-            kept, held = _halves(before, bit)
-            before = _join(kept + high * weight[None, None], held)
-        return jnp.where(step.used[None], before, after), after
-
-    _, num_bits, number = steps.weight.shape
-    start = jnp.zeros((1 << num_bits, number), steps.weight.dtype)
-    return jax.lax.scan(one, start, steps, reverse=True)[1]
-
-
-def _forward(steps: _Step, after: Array) -> tuple[Array, Array]:
-    """Sums over all subsets of tracks that have a detection before a step.
-
-    Returns:
-        Weight of all joint events in which the step's detection goes to a track, and of
-        those in which the track has none (at a cluster's last step), both [K, C, R].
-    """
-    _, num_bits, number = steps.weight.shape
-    empty = jnp.zeros((1 << num_bits, number), after.dtype).at[0].set(1.0)
-
-    def one(before: Array, given: tuple[_Step, Array]) -> tuple[Array, tuple]:
-        step, after = given
-        before = jnp.where(step.first[None], empty, before)
-        grown = before * step.spare[None]
-        pairs = []
-        for bit, weight in enumerate(step.weight):
-            low, _ = _halves(before, bit)
-            _, high = _halves(after, bit)
-            pairs.append((low * high).sum((0, 1)) * weight)
-            kept, held = _halves(grown, bit)
-            grown = _join(kept, held + low * weight[None, None])
-        lone = _lone(grown * after)
-        before = jnp.where(step.used[None], grown, before)
-        return before, (jnp.stack(pairs), lone)
-
-    return jax.lax.scan(one, empty, (steps, after))[1]
-
-
-def _closing(miss: Array) -> Array:
-    """Returns the weight of a miss of all tracks that are not in a subset, [2^C, R]."""
-    weight = jnp.ones_like(miss[:1])
-    for one in miss:
-        weight = jnp.concatenate([weight * one[None], weight])
-    return weight
-
-
-def _lone(weight: Array) -> Array:
-    """Returns for each track the sum over the subsets without it, [C, R]."""
-    sums = []
-    while weight.shape[0] > 1:
-        low, high = jnp.split(weight, 2)
-        sums.append(low.sum(0))
-        weight = low + high
-    return jnp.stack(sums[::-1])
-
-
-def _halves(subsets: Array, bit: int) -> tuple[Array, Array]:
-    """Returns [2^C, R] without and with a track, both [2^(C - bit - 1), 2^bit, R]."""
-    size, number = subsets.shape
-    apart = subsets.reshape(size >> (bit + 1), 2, 1 << bit, number)
-    return apart[:, 0], apart[:, 1]
-
-
-def _join(without: Array, having: Array) -> Array:
-    """Undoes `_halves`."""
-    return jnp.stack([without, having], 1).reshape(-1, without.shape[-1])

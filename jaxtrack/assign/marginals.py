@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxtrack.assign.belief import belief
-from jaxtrack.assign.best import best
+from jaxtrack.assign.best import solvable
 from jaxtrack.assign.exact import MAX_CLUSTER, exact
 from jaxtrack.types import Array
 
@@ -83,13 +83,12 @@ def marginals(
             converged=jnp.array(True),
             num_iterations=jnp.array(0),
         )
-    feasible = table.feasible if table else best(log_score).feasible
-    # What is solved already, or has no solution, is left to be missed.
+    scores, found = solvable(log_score)
+    feasible = found.feasible
+    # What is solved already is left to be missed.
     missed = jnp.full(log_score.shape, -jnp.inf).at[:, -1].set(0.0)
     missed = missed.astype(log_score.dtype)
-    passed = belief(
-        jnp.where((solved | ~feasible)[:, None], missed, log_score), max_iterations
-    )
+    passed = belief(jnp.where(solved[:, None], missed, scores), max_iterations)
     prob, log_norm = passed.prob, passed.log_norm
     if table:
         prob = jnp.where(solved[:, None], table.prob, prob)

@@ -36,7 +36,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.nn import logsumexp
 
-from jaxtrack.assign.best import best
+from jaxtrack.assign.best import solvable
 from jaxtrack.types import Array
 
 TOLERANCE = {"float32": 1e-5, "float64": 1e-12}  # of what a track gives in all
@@ -77,14 +77,12 @@ def soft(
     """
     if max_iterations < 1:
         raise ValueError(f"max_iterations is {max_iterations}; give at least 1")
-    found = best(log_score)
-    # Where nothing is feasible, all tracks are missed instead.
-    missed = jnp.arange(log_score.shape[1]) == log_score.shape[1] - 1
-    possible = jnp.where(found.feasible, log_score > -jnp.inf, missed[None])
-    score = jnp.where(possible & found.feasible, log_score, 0.0) / temperature
-    score = jnp.where(possible, score, -jnp.inf)
-    start = jnp.where(found.feasible, found.track_price, 0.0) / temperature
-    start = jax.lax.stop_gradient(start)
+    scores, found = solvable(log_score)
+    possible = scores > -jnp.inf
+    score = jnp.where(
+        possible, jnp.where(possible, scores, 0.0) / temperature, -jnp.inf
+    )
+    start = jax.lax.stop_gradient(found.track_price / temperature)
     bid, converged, count = _settle(max_iterations, score, start)
     prob = jax.nn.softmax(_priced(score, bid), axis=1)
     return Soft(
