@@ -102,7 +102,7 @@ def _draw(key: Array, steps: subsets.Step, order: clusters.Steps) -> Array:
         held = jnp.where(drawn, held | bits[jnp.minimum(bit, size - 1)], held)
         return held, jnp.where(drawn, bit, size)
 
-    noise = jax.random.gumbel(key, (num_items, size + 1), weight.dtype)
+    noise = jax.random.gumbel(key, (num_items, size + 1), after.dtype)
     bit = jax.lax.scan(one, jnp.array(0), (steps, after, noise))[1]  # [K]
     member = order.member[..., 0]
     track = jnp.where(
