@@ -9,6 +9,10 @@ import inspect
 from typing import Any
 
 from jaxtrack.scenarios import (
+    crossing_many,
+    parallel_pair,
+    gomes_crossing,
+    manoeuvre_digraph,
     turning_aircraft,
     yuan2013_linear,
     yuan2013_range_bearing,
@@ -16,6 +20,10 @@ from jaxtrack.scenarios import (
 from jaxtrack.scenarios.world import Maker, Scenario
 
 MAKERS: dict[str, Maker] = {
+    "crossing-many": crossing_many.make,
+    "parallel-pair": parallel_pair.make,
+    "gomes-crossing": gomes_crossing.make,
+    "manoeuvre-digraph": manoeuvre_digraph.make,
     "turning-aircraft": turning_aircraft.make,
     "yuan2013-linear": yuan2013_linear.make,
     "yuan2013-range-bearing": yuan2013_range_bearing.make,
