@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import slopes
 from reference import likely_modes as book
+from reference import mixture as mixture_book
 
 from jaxtrack.models import probability, sensor, switching, turn
 from jaxtrack.scenarios.world import turn_matrix
@@ -31,9 +32,10 @@ BLENDS = {"mixture": blending.by_mixture, "residual": blending.by_residual}
 
 
 def chain(stay, num=NUM):
-    """Stays with some probability, else goes to a neighbour, upwards rather."""
+    """Stays with some probability, else goes to a neighbour, or two up from mode 1."""
     up, down = np.eye(num, k=1), np.eye(num, k=-1)
     leave = 0.6 * up + 0.4 * down
+    leave[1, 3:4] = 0.3  # and not back
     leave = leave / leave.sum(1, keepdims=True)
     return stay * np.eye(num) + (1 - stay) * leave
 
@@ -76,9 +78,11 @@ def live(target, params, mode_prob, detections, beta):
         view = target.look(params, belief)
         score = target.score(params, view, z)
         square, log_det = target.distance(params, view, z)
+        certain = target.correct(params, view, z[0])
         belief = target.blend(params, view, missed, log_beta, z)
         belief = target.adapt(params, belief)
         chances = log_survive, log_miss, score, square, log_det
+        chances += target.modes(certain), target.moments(certain).mean
         told = target.moments(belief), target.modes(belief), chances
         return belief, (told, getattr(belief, "log_next", None))
 
@@ -118,16 +122,44 @@ def book_model(t1, t2):
     )
 
 
+def assert_seen(told, model, active, known, detections):
+    """What the association is told is of the active modes alone."""
+    _, log_miss, score, square, log_det, modes, mean = told
+    total = book.explained(model, active, known, detections)
+    mixed = book.mix(model, active, known)
+    size = sum(mu for mu, _, _ in mixed.values())
+    chances = np.exp(np.append(score, log_miss))
+    np.testing.assert_allclose(chances, total / size, rtol=1e-8)
+    pool = []
+    for i, (mu, x, P) in mixed.items():
+        if mu > 0:
+            x, _, S, *_ = book.see(model, i, x, P, detections)
+            pool.append((mu / size, model.H @ x, S))
+    expected, S = mixture_book.moment_match(pool)
+    gap = detections - expected
+    want = np.einsum("kz,zy,ky->k", gap, np.linalg.inv(S), gap)
+    np.testing.assert_allclose(square, want, rtol=1e-8)
+    np.testing.assert_allclose(log_det, np.log(np.linalg.det(S)), rtol=1e-8)
+    certain = book.fuse(
+        book.vsimm(model, active, known, detections[:1], [1.0, 0.0], True, None)
+    )
+    mu = [certain[i][0] if i in certain else 0.0 for i in range(NUM)]
+    np.testing.assert_allclose(modes, mu, rtol=1e-8)
+    np.testing.assert_allclose(mean, book.moments(certain)[0], rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", BLENDS)
 def test_a_run_is_that_of_the_tables(name):
     """Step by step: moments, probabilities and the set that follows."""
-    (belief, modes, _), log_next = lives(name)
+    (belief, modes, chances), log_next = lives(name)
     sizes = set()
     for kind, (t1, t2, mode_prob) in enumerate(KINDS):
         model = book_model(t1, t2)
         active = {i for i in range(NUM) if mode_prob[i] > 0}
         known = {i: (mode_prob[i], *PRIOR) for i in active}
         for scan, (z, beta) in enumerate(zip(*data(), strict=True)):
+            told = [x[kind, scan] for x in chances]
+            assert_seen(told, model, active, known, z)
             known, active = book.cycle(
                 model, active, known, z, beta, name == "residual"
             )
