@@ -277,9 +277,16 @@ def test_modes_that_nobody_can_enter_are_impossible_and_finite():
     @jax.jit
     def one(prior):
         belief = target.begin(params, prior, CENTRE, None)
-        return target.predict(params, belief, STEP)[0]
+        belief, _ = target.predict(params, belief, STEP)
+        seen = target.correct(params, target.look(params, belief), np.zeros(2))
+        return belief, seen, target.miss(params, belief)[0]
 
-    belief = one(PRIOR)
+    beliefs = one(PRIOR)
+    for belief in beliefs:  # what is active sums to one, whatever else there is
+        assert np.exp(belief.log_weight).sum() > 1.1
+        active = np.exp(belief.log_weight + belief.log_active)
+        np.testing.assert_allclose(active.sum(), 1.0)
+    belief = beliefs[0]
     np.testing.assert_array_equal(np.exp(belief.log_weight[jnp.array([0, 4])]), 0.0)
     assert np.isfinite(belief.mean).all()
     assert np.isfinite(belief.cov).all()
