@@ -8,12 +8,13 @@ import pytest
 
 from jaxtrack.trackers import management
 from jaxtrack.trackers.management import Existence, MofN, ScoreTest
+from jaxtrack.types import Gaussian
 
 
 def told(rule, detected, log_ratio=None, existence_prob=None, num_hits=1):
     """After how many scans a track is confirmed and dropped; None is never."""
     detected = np.array(detected, float)
-    ratios = np.zeros(len(detected)) if log_ratio is None else np.array(log_ratio)
+    ratios = np.ones(len(detected)) if log_ratio is None else np.array(log_ratio)
     probs = np.full(len(detected), 0.5) if existence_prob is None else existence_prob
 
     @jax.jit
@@ -69,6 +70,12 @@ def test_m_of_n_by_counting_in_python():
         assert told(rule, story) == (confirmed, dropped)
 
 
+def test_a_detection_that_says_nothing_is_no_hit():
+    rule = MofN(confirm_hits=2, confirm_scans=3)
+    assert told(rule, [1, 1, 1], [-0.1, 0.0, 0.1]) == (None, 2)
+    assert told(rule, [1, 1, 1], [-0.1, 0.1, 0.1]) == (2, None)
+
+
 def test_two_points_count_two():
     assert told(MofN(3, 5), [1], num_hits=2) == (1, None)
 
@@ -117,6 +124,17 @@ def test_wald_keeps_its_promise():
         assert (np.array(decided) != 0).mean() > 0.99
         # Wald's bound, and three standard errors of the count.
         assert wrong <= limit * 1.05 + 3 * math.sqrt(limit / num)
+
+
+def test_duplicates_give_way_to_who_ranks_higher():
+    mean = np.array([[0.0, 0.0], [1.0, 0.0], [1.5, 0.0], [50.0, 0.0], [0.0, 0.0]])
+    cov = np.tile(np.diag([1.0, 4.0]), (5, 1, 1))
+    rank = np.array([0.5, 1.9, 0.7, 0.2, 0.0])
+    find = jax.jit(lambda r: management.duplicates(Gaussian(mean, cov), r, 0.6))
+    # 0.5 between the first two, 0.125 between the next; the last slot is empty.
+    np.testing.assert_array_equal(find(rank), [True, False, True, False, False])
+    equal = find(np.full(5, 0.5))
+    np.testing.assert_array_equal(equal, [False, True, True, False, True])
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from typing import Any
 
 from jaxtrack.scenarios import (
     crossing_many,
-    parallel_pair,
     gomes_crossing,
     manoeuvre_digraph,
+    parallel_pair,
     turning_aircraft,
     yuan2013_linear,
     yuan2013_range_bearing,

@@ -26,14 +26,16 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.types import Array
+from jaxtrack import linalg
+from jaxtrack.types import Array, Gaussian
 
 
 class Record(NamedTuple):
     """What N tracks have done.
 
     Attributes:
-        hits: The last 32 scans as bits, the newest lowest; set where detected, [N].
+        hits: The last 32 scans as bits, the newest lowest; set where it was likelier
+            detected than not, and the scan speaks for it, [N].
         age: Scans since it was begun, that one counted, [N] (int).
         score: Sum of its log-likelihood ratios against clutter, [N].
         peak: The largest score so far, [N].
@@ -188,7 +190,9 @@ def record(record: Record, detected_prob: Array, log_ratio: Array) -> Record:
         detected_prob: Probability that one of the detections is the track's, [N].
         log_ratio: Log-likelihood ratio of the track against clutter, [N].
     """
-    hit = (detected_prob > 0.5).astype(jnp.uint32)
+    # A track with a wide gate always finds some clutter; that is no hit unless the
+    # scan is better explained with the track than without.
+    hit = ((detected_prob > 0.5) & (log_ratio > 0)).astype(jnp.uint32)
     score = record.score + log_ratio.astype(record.score.dtype)
     return Record(
         hits=(record.hits << 1) | hit,
@@ -197,6 +201,30 @@ def record(record: Record, detected_prob: Array, log_ratio: Array) -> Record:
         peak=jnp.maximum(record.peak, score),
         confirmed=record.confirmed,
     )
+
+
+def duplicates(belief: Gaussian, rank: Array, threshold: float) -> Array:
+    """Finds the tracks that follow a target which a track of higher rank follows.
+
+    Args:
+        belief: Mean [N, D] and covariance [N, D, D] of N tracks.
+        rank: Which of two stays; 0 for an empty slot, [N].
+        threshold: Squared Mahalanobis distance, by the sum of the two covariances.
+
+    Returns:
+        [N] (bool).
+    """
+    slot = jnp.arange(rank.size)
+    tied = (rank[:, None] == rank[None]) & (slot[:, None] > slot[None])
+    behind = ((rank[:, None] < rank[None]) | tied) & (rank[:, None] > 0)
+
+    def square(one: Gaussian, other: Gaussian) -> Array:
+        lower = linalg.cholesky(one.cov + other.cov)
+        white = linalg.solve_lower(lower, one.mean - other.mean)
+        return (white * white).sum()
+
+    distance = jax.vmap(jax.vmap(square, (None, 0)), (0, None))(belief, belief)
+    return (behind & (distance <= threshold)).any(1)
 
 
 def _count(hits: Array, num_scans: int) -> Array:

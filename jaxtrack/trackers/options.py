@@ -28,6 +28,7 @@ class Options(TypedDict, total=False):
     gate_prob: float
     gate_in_missed: bool
     counts_clutter: bool
+    duplicate_threshold: float
 
 
 def make(
@@ -42,6 +43,7 @@ def make(
     gate_prob: float = 0.999,
     gate_in_missed: bool = False,
     counts_clutter: bool = False,
+    duplicate_threshold: float = 0.0,
 ) -> Tracker:
     """Makes a tracker of the family.
 
@@ -60,6 +62,9 @@ def make(
         gate_in_missed: Weigh a miss by 1 - P_D P_G, not by 1 - P_D.
         counts_clutter: Take the clutter's density from the detections in the gates
             (nonparametric), not from the clutter model.
+        duplicate_threshold: A track goes that is so near a confirmed or likelier one,
+            in squared Mahalanobis distance by both covariances: it follows the same
+            target. With 0 none goes.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -67,6 +72,11 @@ def make(
     rule = rule or (management.Existence() if weighs else management.MofN())
     _check(max_tracks, max_births, gate_prob, start_threshold)
     management.check(rule)
+    if not duplicate_threshold >= 0:
+        raise ValueError(
+            f"duplicate_threshold is {duplicate_threshold}; give a squared distance, "
+            "e.g. 1, or 0 for none"
+        )
     settings = single_scan.Settings(
         target=target,
         weighs=weighs,
@@ -77,6 +87,7 @@ def make(
         max_tracks=max_tracks,
         max_births=max_births,
         start_threshold=start_threshold,
+        duplicate_threshold=duplicate_threshold,
     )
     return Tracker(
         init=functools.partial(single_scan.init, settings),

@@ -119,6 +119,7 @@ class Settings(NamedTuple):
     max_tracks: int
     max_births: int
     start_threshold: float
+    duplicate_threshold: float
 
 
 def init(settings: Settings, params: Params, key: Array) -> State:
@@ -248,6 +249,13 @@ def _keep(
     """
     alive = ~settings.rule.drops(record, tracks.existence_prob)
     prob = jnp.where(alive, tracks.existence_prob, 0.0)
+    if settings.duplicate_threshold > 0:
+        again = management.duplicates(
+            jax.vmap(settings.target.moments)(tracks.belief),
+            prob + (record.confirmed & alive),
+            settings.duplicate_threshold,
+        )
+        prob = jnp.where(again, 0.0, prob)
     confirmed = record.confirmed & alive & (prob > 0)
     _, kept = jax.lax.top_k(prob + confirmed, settings.max_tracks)
     lost = jax.vmap(settings.target.lost)(tracks.belief)
