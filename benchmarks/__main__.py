@@ -15,10 +15,10 @@ from typing import Any
 from benchmarks import climit, table
 
 ALL = (
-    *("kalman", "extended", "imm", "gaussians", "gradient"),
+    *("kalman", "extended", "imm", "gaussians", "gradient", "assign"),
     *("cores", "start", "study", "growth"),
 )
-PACKAGES = ("jax", "jaxlib", "numpy", "dynamax", "filterpy", "stonesoup")
+PACKAGES = ("jax", "jaxlib", "numpy", "dynamax", "filterpy", "stonesoup", "scipy")
 
 
 def made_with() -> dict[str, Any]:

@@ -103,6 +103,8 @@ def test_float32_is_near_float64():
     np.testing.assert_allclose(single.prob, double.prob, atol=1e-4)
 
 
-def test_no_round_at_all_is_refused():
+def test_settings_are_checked():
+    with pytest.raises(ValueError, match="temperature is 0; it must be positive"):
+        soft.soft(jnp.zeros((2, 3)), 0)
     with pytest.raises(ValueError, match="max_iterations is 0; give at least 1"):
         soft.soft(jnp.zeros((2, 3)), max_iterations=0)

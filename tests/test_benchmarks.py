@@ -13,7 +13,7 @@ from benchmarks import climit, common, problems, table
 
 FAST = ("gaussians",)
 SLOW = (
-    *("kalman", "extended", "imm", "gradient"),
+    *("kalman", "extended", "imm", "gradient", "assign"),
     *("cores", "start", "study", "growth"),
 )
 KEYS = {

@@ -14,6 +14,7 @@ detection a column of -inf. Each says whether its answer is feasible.
 """
 
 from jaxtrack.assign import (
+    auction,
     belief,
     best,
     clusters,
@@ -28,6 +29,7 @@ from jaxtrack.assign import (
 )
 
 __all__ = [
+    "auction",
     "belief",
     "best",
     "clusters",

@@ -3,7 +3,16 @@
 Tracks and detections send each other messages, plain numbers in two tables [N, K],
 until they settle. They always do where every track may be missed. The work grows with
 N K, not with the crowding; the probabilities are exact where the graph of tracks and
-detections has no loop, and else too sure of themselves.
+detections has no loop. Six tracks in a row, so many standard deviations of a residual
+apart, detected with probability 0.9 in clutter of 0.2 detections a standard deviation
+(500 scenes; the error of a probability, absolute, and what the log-norm falls short):
+
+    gap    mean error    largest in a scene, mean    in any    log-norm    rounds
+    0.25       0.0028                       0.022      0.05        0.30        76
+    0.5        0.0031                       0.026      0.06        0.28        66
+    1          0.0039                       0.039      0.09        0.24        49
+    2          0.0028                       0.040      0.12        0.10        26
+    4         0.00003                       0.001      0.02       0.001         9
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.assign import belief
@@ -19,15 +28,17 @@ probabilities with belief propagation", IEEE Trans. Aerospace and Electronic Sys
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxtrack.assign.lanes import lanes
 from jaxtrack.types import Array
 
-FULL = jax.lax.Precision.HIGHEST
+WIDTH = 192  # problems side by side, so that their messages stay in cache
 TOLERANCE = {"float32": 1e-5, "float64": 1e-12}  # change of a message, relative
 
 
@@ -98,27 +109,36 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return log_norm, jnp.where(prob > 0, prob * tangents[2], 0.0).sum()
 
 
-def _others(size: int, like: Array) -> Array:
-    """Returns the matrix that sums over all but one, [size, size].
+def _others(values: Array) -> Array:
+    """Returns the sum of all the others along the first axis, same shape.
 
-    Taking one off the sum of all instead would leave nothing but rounding where one
-    outweighs the others.
+    Taking each off the sum of all instead would leave nothing but rounding where one
+    outweighs the rest; so they are summed by fours, and the fours in the same way.
     """
-    return 1 - jnp.eye(size, dtype=like.dtype)
+    number, rest = values.shape[0], values.shape[1:]
+    if number < 2:
+        return jnp.zeros_like(values)
+    count = -(-number // 4)
+    padding = [(0, 4 * count - number)] + [(0, 0)] * len(rest)
+    fours = jnp.pad(values, padding).reshape(count, 4, *rest)
+    a, b, c, d = (fours[:, k] for k in range(4))
+    left, right = a + b, c + d
+    outside = _others(left + right)
+    ahead, behind = outside + right, outside + left
+    apart = jnp.stack([ahead + b, ahead + a, behind + d, behind + c], 1)
+    return apart.reshape(4 * count, *rest)[:number]
 
 
 def _tell(weight: Array, miss: Array, heard: Array) -> Array:
     """Returns what tracks tell detections, given what they heard, [N, K]."""
-    others = jnp.matmul(
-        weight * heard, _others(weight.shape[1], weight), precision=FULL
-    )
-    least = jnp.sqrt(jnp.finfo(weight.dtype).tiny)
+    others = jnp.swapaxes(_others(jnp.swapaxes(weight * heard, 0, 1)), 0, 1)
+    least = jnp.finfo(weight.dtype).tiny ** 0.5
     return weight / jnp.maximum(miss[:, None] + others, least)
 
 
 def _hear(told: Array) -> Array:
     """Returns what detections answer, [N, K]."""
-    return 1 / (1 + jnp.matmul(_others(told.shape[0], told), told, precision=FULL))
+    return 1 / (1 + _others(told))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -126,19 +146,32 @@ def _settle(
     max_iterations: int, weight: Array, miss: Array
 ) -> tuple[Array, Array, Array]:
     """Sends messages until they settle; returns what tracks hear, [N, K], and how."""
-    tolerance = TOLERANCE[weight.dtype.name]
+    return _many(max_iterations)(weight, miss)
 
-    def more(state: tuple[Array, Array, Array]) -> Array:
-        _, settled, count = state
-        return ~settled & (count < max_iterations)
 
-    def round_(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        heard, _, count = state
-        new = _hear(_tell(weight, miss, heard))
-        return new, (jnp.abs(new - heard) <= tolerance * new).all(), count + 1
+@functools.cache
+def _many(max_iterations: int) -> Callable[..., tuple[Array, Array, Array]]:
+    """Makes the loop over rounds of one problem from that of many."""
 
-    start = jnp.ones_like(weight), jnp.array(False), jnp.array(0)
-    return jax.lax.while_loop(more, round_, start)
+    def settle(weight: Array, miss: Array) -> tuple[Array, Array, Array]:
+        tolerance = TOLERANCE[weight.dtype.name]
+
+        def more(state: tuple[Array, Array, Array]) -> Array:
+            _, settled, count = state
+            return ~settled.all() & (count.max() < max_iterations)
+
+        def send(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            heard, settled, count = state
+            new = _hear(_tell(weight, miss, heard))
+            near = (jnp.abs(new - heard) <= tolerance * new).all((0, 1))
+            heard = jnp.where(settled[None, None], heard, new)
+            return heard, settled | near, count + ~settled
+
+        none = jnp.zeros(weight.shape[2], bool)
+        start = jnp.ones_like(weight), none, none.astype(jnp.int32)
+        return jax.lax.while_loop(more, send, start)
+
+    return lanes(settle, WIDTH)
 
 
 @_settle.defjvp

@@ -22,6 +22,7 @@ A track too many for its cluster is never approximated here: it is marked.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -34,7 +35,8 @@ from jaxtrack.assign.lanes import lanes
 from jaxtrack.types import Array
 
 MAX_CLUSTER = 10
-WIDTH = 64  # problems side by side, so that their tables stay in the cache
+SIZES = 3, 6  # of smaller tables, where these are enough
+WIDTH = 64  # problems whose tables are filled side by side, so that they stay in cache
 
 
 class Exact(NamedTuple):
@@ -109,9 +111,9 @@ def _(size: int, primals: tuple, tangents: tuple) -> tuple:
 
 
 @functools.cache
-def _many(size: int):
+def _many(size: int) -> Callable[..., tuple[Array, Array, Array]]:
     """Makes the solver of one problem from that of many."""
-    return lanes(functools.partial(_solve, size, True), WIDTH)
+    return lanes(functools.partial(_solve, size, True), 1024)
 
 
 def _solve(
@@ -131,10 +133,7 @@ def _solve(
     spare = jnp.exp(-detection_price)
     order = clusters.steps(weight > 0, size)
     if adapt:
-        sizes = [*range(2, size, 2), size]
-        branches = [functools.partial(_tabulate, bits) for bits in sizes]
-        enough = (jnp.array(sizes) < order.size.max()).sum()
-        raw = jax.lax.switch(enough, branches, weight, miss, spare, order)
+        raw = _sorted(size, order.size, (weight, miss, spare, order))
     else:
         raw = _tabulate(size, weight, miss, spare, order)
     norm = raw.sum(1)
@@ -146,6 +145,37 @@ def _solve(
         order.fits[:, None], raw / jnp.where(norm > 0, norm, 1.0)[:, None], 0.0
     )
     return prob, jnp.log(safe).sum(0) + prices, order.fits
+
+
+def _sorted(size: int, largest: Array, problem: tuple) -> Array:
+    """Calls `_tabulate`, for problems of small clusters with smaller tables.
+
+    Args:
+        size: C.
+        largest: Size of each problem's largest cluster, [R].
+        problem: Its arguments but the first.
+    """
+    sizes = [bits for bits in SIZES if bits < size] + [size]
+    branches = [functools.partial(_tabulate, bits) for bits in sizes]
+
+    def block(largest: Array, problem: tuple) -> Array:
+        enough = (jnp.array(sizes) < largest.max()).sum()
+        return jax.lax.switch(enough, branches, *problem)
+
+    number = largest.size
+    if number <= WIDTH:
+        return block(largest, problem)
+    # Alike ones side by side; the last block is filled up with the largest again.
+    place = jnp.argsort(largest)
+    count = -(-number // WIDTH)
+    place = jnp.pad(place, (0, count * WIDTH - number), mode="edge")
+
+    def one(chosen: Array) -> Array:
+        return block(*jax.tree.map(lambda x: x[..., chosen], (largest, problem)))
+
+    raw = jnp.moveaxis(jax.lax.map(one, place.reshape(count, WIDTH)), 0, -2)
+    raw = raw.reshape(*raw.shape[:-2], count * WIDTH)
+    return raw[..., jnp.argsort(place[:number])]
 
 
 def _tabulate(

@@ -73,8 +73,10 @@ def soft(
         max_iterations: Rounds at most.
 
     Raises:
-        ValueError: There is no round.
+        ValueError: The temperature is not positive, or there is no round.
     """
+    if isinstance(temperature, (int, float)) and not temperature > 0:
+        raise ValueError(f"temperature is {temperature}; it must be positive.")
     if max_iterations < 1:
         raise ValueError(f"max_iterations is {max_iterations}; give at least 1")
     scores, found = solvable(log_score)

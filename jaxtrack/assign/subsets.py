@@ -117,7 +117,8 @@ def forward(steps: Step, after: Array) -> tuple[Array, Array]:
             pairs.append((low * high).sum((0, 1)) * weight)
             kept, held = _halves(grown, bit)
             grown = _join(kept, held + low * weight[None, None])
-        lone = _lone(grown * after)
+        # Apart, so that it is computed at the end of a cluster only, from what is done.
+        lone = jax.lax.cond(step.last.any(), _lone, _none, grown, after)
         before = jnp.where(step.used[None], grown, before)
         return before, (jnp.stack(pairs), lone)
 
@@ -132,14 +133,20 @@ def _closing(miss: Array) -> Array:
     return weight
 
 
-def _lone(weight: Array) -> Array:
+def _lone(before: Array, after: Array) -> Array:
     """Returns for each track the sum over the subsets without it, [C, R]."""
-    sums = []
+    weight, sums = before * after, []
     while weight.shape[0] > 1:
         low, high = jnp.split(weight, 2)
         sums.append(low.sum(0))
         weight = low + high
     return jnp.stack(sums[::-1])
+
+
+def _none(before: Array, after: Array) -> Array:
+    """Returns zeros in the place of `_lone`."""
+    size, number = before.shape
+    return jnp.zeros((size.bit_length() - 1, number), before.dtype)
 
 
 def _halves(subsets: Array, bit: int) -> tuple[Array, Array]:
