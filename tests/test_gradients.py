@@ -11,22 +11,22 @@ import jax
 import numpy as np
 import pytest
 from cases import slopes
-from cases.every_model import CASES, SIZES, case_of, every_field, fields
+from cases.every_model import CASES, case_of, every_field, fields
 
 from jaxtrack import engine
-from jaxtrack.trackers import cbmember
 
 KEY = np.array(jax.random.key_data(jax.random.key(0)))
 STEP = 1e-6
 # Its density is flat, so it does not matter from where a place is looked at.
 WITHOUT_SLOPE = {"PolarClutter.position", "PolarClutter.heading"}
+WITHOUT_SLOPE |= {"PairBirth.max_speed"}  # a limit that a pair keeps or not
 every_case = pytest.mark.parametrize("name", CASES)
 
 
 def evidence(name, params):
     """The log-evidence of all scans."""
     case = case_of(name)
-    tracker = cbmember.cbmember(case.target, **SIZES)
+    tracker = case.maker(case.target)
     key = jax.random.wrap_key_data(KEY)
     return engine.run(tracker, params, case.scans, key).log_evidence.sum()
 

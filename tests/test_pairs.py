@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from jaxtrack.models.motion import ConstantAcceleration, ConstantVelocity
-from jaxtrack.models.pairs import Leftovers, PairBirth
+from jaxtrack.models.pairs import PairBirth
 from jaxtrack.models.sensor import Position, RangeBearing, Timed
 
 
@@ -26,10 +26,10 @@ def pair_birth(num_axes=1, extra=0, **changes):
 def propose(birth, sensor, motion, earlier, now, interval):
     def leftovers(points, prob):
         points = np.array(points, float)
-        return Leftovers(points.reshape(len(prob), -1), array(*prob))
+        return points.reshape(len(prob), -1), array(*prob)
 
-    call = jax.jit(birth.propose, static_argnums=())
-    return call(sensor, motion, leftovers(*earlier), leftovers(*now), interval)
+    call = jax.jit(birth.propose)
+    return call(sensor, motion, *leftovers(*now), *leftovers(*earlier), interval)
 
 
 def test_partners_are_near_enough_and_the_nearest():

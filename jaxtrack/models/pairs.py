@@ -2,13 +2,13 @@
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.models.motion import ConstantVelocity
-    >>> from jaxtrack.models.pairs import Leftovers, PairBirth
+    >>> from jaxtrack.models.pairs import PairBirth
     >>> from jaxtrack.models.sensor import Position
     >>> birth = PairBirth(rate=0.2, max_existence_prob=0.1, max_speed=5.0,
     ...     extra_std=jnp.zeros(0), mode_prob=jnp.ones(1))
     >>> places = birth.propose(Position(jnp.ones(1)), ConstantVelocity(jnp.ones(1)),
-    ...     Leftovers(jnp.array([[0.0], [50.0]]), jnp.array([1.0, 1.0])),
-    ...     Leftovers(jnp.array([[2.0], [90.0]]), jnp.array([1.0, 1.0])), interval=0.5)
+    ...     jnp.array([[2.0], [90.0]]), jnp.ones(2),
+    ...     earlier=jnp.array([[0.0], [50.0]]), earlier_prob=jnp.ones(2), interval=0.5)
     >>> print(places.existence_prob, places.mean[0])
     [0.1 0. ] [2. 4.]
 
@@ -25,19 +25,6 @@ from jaxtrack import linalg
 from jaxtrack.models.birth import MultiBernoulliBirth, further_index
 from jaxtrack.models.sensor import Timed
 from jaxtrack.types import Array, Gaussian, PyTree
-
-
-class Leftovers(NamedTuple):
-    """The detections of a scan that are not known to be a target's.
-
-    Attributes:
-        detections: [K, Z].
-        unexplained_prob: Probability that no track caused it; 0 for one that is not
-            there, [K].
-    """
-
-    detections: Array
-    unexplained_prob: Array
 
 
 class PairBirth(NamedTuple):
@@ -62,8 +49,10 @@ class PairBirth(NamedTuple):
         self,
         sensor: PyTree,
         motion: PyTree,
-        earlier: Leftovers,
-        now: Leftovers,
+        detections: Array,
+        unexplained_prob: Array,
+        earlier: Array,
+        earlier_prob: Array,
         interval: Array,
     ) -> MultiBernoulliBirth:
         """Places one possible target at each detection that has a partner in time.
@@ -74,24 +63,27 @@ class PairBirth(NamedTuple):
         Args:
             sensor: A sensor that can locate.
             motion: The motion model whose state is wanted, of D components.
-            earlier: Of the scan before, L of them.
-            now: Of this scan, K of them.
-            interval: Seconds between the two.
+            detections: Of this scan, [K, Z].
+            unexplained_prob: Probability that no known target caused it; 0 for one that
+                is not there, [K].
+            earlier: Detections of the scan before, [L, Z].
+            earlier_prob: The same of them, [L].
+            interval: Seconds between the two scans.
 
         Returns:
             K places; one without a partner has existence 0 and finite moments.
         """
-        before, after = (jax.vmap(sensor.locate)(x.detections) for x in (earlier, now))
-        ages = [_age(sensor, x.detections) for x in (earlier, now)]
+        before, after = (jax.vmap(sensor.locate)(x) for x in (earlier, detections))
+        ages = [_age(sensor, x) for x in (earlier, detections)]
         time = interval + ages[0][None] - ages[1][:, None]  # [K, L]
         gap = after.mean[:, None] - before.mean[None]
         reach = jnp.maximum(time, 0.0) * self.max_speed
         square = (gap * gap).sum(-1)
-        fair = (square <= reach**2) & (time > 0) & (earlier.unexplained_prob > 0)[None]
+        fair = (square <= reach**2) & (time > 0) & (earlier_prob > 0)[None]
         partner = jnp.argmin(jnp.where(fair, square, jnp.inf), axis=1)
         paired = fair.any(1)
 
-        weight = now.unexplained_prob * earlier.unexplained_prob[partner]
+        weight = unexplained_prob * earlier_prob[partner]
         weight = jnp.where(paired, weight, 0.0)
         total = weight.sum()
         share = weight / jnp.where(total > 0, total, 1.0)

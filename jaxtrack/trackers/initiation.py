@@ -20,13 +20,26 @@ from jaxtrack.models.birth import (
     PoissonBirth,
     likeliest,
 )
-from jaxtrack.models.pairs import Leftovers, PairBirth
+from jaxtrack.models.pairs import PairBirth
 from jaxtrack.models.sensor import Timed
 from jaxtrack.trackers import bernoulli, management
 from jaxtrack.trackers.bernoulli import Tracks
 from jaxtrack.types import Array, Scan, Target
 
 Birth = DetectionBirth | PairBirth | MultiBernoulliBirth | PoissonBirth | None
+
+
+class Leftovers(NamedTuple):
+    """The detections of a scan that are not known to be a target's.
+
+    Attributes:
+        detections: [K, Z].
+        unexplained_prob: Probability that no track caused it; 0 for one that is not
+            there, [K].
+    """
+
+    detections: Array
+    unexplained_prob: Array
 
 
 class Begun(NamedTuple):
@@ -178,9 +191,8 @@ def begin(
         detections = jnp.where(scan.valid[:, None], scan.detections, 0.0)
         now = Leftovers(detections, unexplained_prob)
         sensor, layout = params.target.sensor, params.target.layout
-        places, dropped = likeliest(
-            birth.propose(sensor, layout, leftovers, now, scan.interval), max_births
-        )
+        proposed = birth.propose(sensor, layout, *now, *leftovers, scan.interval)
+        places, dropped = likeliest(proposed, max_births)
         leftovers = _few(now, max_births)
     tracks = bernoulli.begin(target, params.target, places, next_label, key)
     hits = 1 if isinstance(birth, DetectionBirth) else 2

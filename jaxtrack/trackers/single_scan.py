@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
-from jaxtrack.models.pairs import Leftovers, PairBirth
+from jaxtrack.models.pairs import PairBirth
 from jaxtrack.trackers import association, bernoulli, initiation, management
 from jaxtrack.trackers.association import Association, Gating, Sighting
 from jaxtrack.trackers.bernoulli import Tracks
@@ -74,7 +74,7 @@ class State(NamedTuple):
 
     tracks: Tracks
     record: management.Record
-    leftovers: Leftovers
+    leftovers: initiation.Leftovers
     next_label: Array
     key: Array
 

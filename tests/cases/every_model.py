@@ -20,6 +20,7 @@ from jaxtrack.models import (
     clutter,
     converted,
     motion,
+    pairs,
     probability,
     rest,
     sensor,
@@ -27,7 +28,7 @@ from jaxtrack.models import (
     turn,
 )
 from jaxtrack.targets import imm, single
-from jaxtrack.trackers import cbmember
+from jaxtrack.trackers import cbmember, jpda, single_scan
 from jaxtrack.types import Array, Scan
 
 SIZES = {"max_tracks": 3, "max_births": 2, "max_parents": 2, "prune_threshold": 1e-4}
@@ -38,8 +39,9 @@ class Case(NamedTuple):
     """A target and what its tracker is given."""
 
     target: Any
-    params: cbmember.Params
+    params: Any
     scans: Scan
+    maker: Any = functools.partial(cbmember.cbmember, **SIZES)
 
 
 def scans_of(rows):
@@ -216,7 +218,42 @@ def spatial_case():
     return sensor_case(seen, rows, (-3.1, -1.5, 10.0), (3.1, 1.5, 300.0), num_axes=3)
 
 
+def paired_case():
+    """Tracks born of two points, one of them near a target that explains it in part."""
+    kind = motion.ConstantAcceleration
+    target = imm.Params(
+        motions=(kind(array(0.5)), kind(array(2.0))),
+        switching=switching.MarkovSwitching(np.array([[0.85, 0.15], [0.3, 0.7]])),
+        sensor=sensor.Position(array(1.2)),
+        survive=probability.Constant(value(0.97)),
+        detect=probability.Constant(value(0.8)),
+    )
+    # Of the likelier birth the limit binds, of the other the rate does.
+    births = pairs.PairBirth(
+        rate=value(0.6),
+        max_existence_prob=value(0.25),
+        max_speed=value(9.0),
+        extra_std=array(1.0),
+        mode_prob=array(0.6, 0.4),
+    )
+    falls = clutter.UniformClutter(value(1.5), array(-50.0), array(50.0))
+    start = birth.MultiBernoulliBirth(
+        array(0.5),
+        *(x[:1] for x in born([-19.0, 2.0, 0.1], [9.0, 4.0, 1.0], [0.7, 0.3])),
+    )
+    rows = [[[-18.0], [6.0], [0.0]], [[-16.5], [3.0], [40.0]], [[-13.0], [1.0], [0.0]]]
+    scans = scans_of(rows)._replace(
+        valid=np.array([[True, True, False], [True, True, True], [True, True, False]])
+    )
+    params = single_scan.Params(target, births, falls, start)
+    maker = functools.partial(
+        jpda.jipda, max_tracks=3, max_births=3, gate_prob=1.0, start_threshold=0.0
+    )
+    return Case(imm.imm(), params, scans, maker)
+
+
 CASES = {
+    "paired": paired_case,
     "straight": straight_case,
     "accelerating": accelerating_case,
     "turning": turning_case,
