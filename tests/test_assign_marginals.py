@@ -112,8 +112,8 @@ def in_a_row(rng, gap, num=6, clutter=0.2, detect=0.9, capacity=18):
     false = rng.uniform(low, high, rng.poisson(clutter * (high - low)))
     z = np.concatenate([seen + rng.normal(size=seen.size), false])[:capacity]
     log_score = np.full((num, capacity + 1), -INF)
-    density = np.exp(-((z[None] - place[:, None]) ** 2) / 2) / np.sqrt(2 * np.pi)
-    log_score[:, : z.size] = np.log(detect / clutter * density)
+    surprise = (z[None] - place[:, None]) ** 2 / 2 + np.log(2 * np.pi) / 2
+    log_score[:, : z.size] = np.log(detect / clutter) - surprise
     log_score[:, -1] = np.log(1 - detect)
     return log_score
 
