@@ -15,10 +15,13 @@ from typing import Any
 from benchmarks import climit, table
 
 ALL = (
-    *("kalman", "extended", "imm", "gaussians", "gradient", "assign"),
+    *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "jpda"),
     *("cores", "start", "study", "growth"),
 )
-PACKAGES = ("jax", "jaxlib", "numpy", "dynamax", "filterpy", "stonesoup", "scipy")
+PACKAGES = (
+    *("jax", "jaxlib", "numpy", "scipy"),
+    *("dynamax", "filterpy", "stonesoup", "pyehm"),
+)
 
 
 def made_with() -> dict[str, Any]:
