@@ -17,13 +17,14 @@ except ModuleNotFoundError as missing:
         f'The command line needs {missing.name}: pip install "jaxtrack[cli]".'
     ) from missing
 
-from jaxtrack.cli import common, compare, config, scenarios, track
+from jaxtrack.cli import common, compare, config, follow, scenarios, track
 
 app = typer.Typer(
     cls=common.Commands, add_completion=False, pretty_exceptions_enable=False
 )
 app.command("scenarios")(scenarios.scenarios)
 app.command("compare")(compare.compare)
+app.command("follow")(follow.follow)
 app.command("track")(track.track)
 app.command("config")(config.config)
 
