@@ -9,6 +9,7 @@ import os
 import pathlib
 
 import jax
+import pytest
 
 CACHE = pathlib.Path(__file__).parent.parent / ".cache" / "jax"
 PLAIN_CODE = (
@@ -27,3 +28,10 @@ if jax.config.jax_compilation_cache_dir is None:  # unless the environment names
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _programs_go():
+    """Forgets the programs that a file compiled: all of them take gigabytes."""
+    yield
+    jax.clear_caches()
