@@ -142,8 +142,13 @@ def test_duplicates_give_way_to_who_ranks_higher():
     [
         (MofN(4, 3), "confirm takes 4 of 3 scans"),
         (MofN(2, 3, 40, 40), "drop takes 40 of 40 scans"),
+        (MofN(2.5, 3), "confirm takes 2.5 of 3 scans"),
         (ScoreTest(false_confirm_prob=1.5), "false_confirm_prob is 1.5"),
+        (ScoreTest(false_drop_prob=0.0), "false_drop_prob is 0.0"),
+        (ScoreTest(drop_fall=-1.0), "drop_fall is -1.0"),
+        (ScoreTest(0.5, 0.9), "are 0.5 and 0.9; give two that add up to less"),
         (Existence(drop_prob=-0.1), "drop_prob is -0.1"),
+        (Existence(0.1, 0.5), "drop_prob is 0.5 and confirm_prob is 0.1"),
     ],
 )
 def test_rules_that_make_no_sense(rule, message):

@@ -104,11 +104,14 @@ class PairBirth(NamedTuple):
         dim, where, speed = motion.dim, motion.position_index, motion.velocity_index
         place, rate = jnp.array(where), jnp.array(speed)
         ahead = age / time
-        axes = jnp.eye(len(where), dtype=last.mean.dtype)
-        zero = jnp.zeros((dim, len(where)), last.mean.dtype)
+        dtype = jnp.result_type(first.cov, last.cov, time, age, self.extra_std)
+        axes, zero = (
+            jnp.eye(len(where), dtype=dtype),
+            jnp.zeros((dim, len(where)), dtype),
+        )
         from_first = zero.at[place].set(-ahead * axes).at[rate].set(-axes / time)
         from_last = zero.at[place].set((1 + ahead) * axes).at[rate].set(axes / time)
-        further = jnp.zeros(dim, last.mean.dtype)
+        further = jnp.zeros(dim, dtype)
         if index := further_index(motion):
             further = further.at[jnp.array(index)].set(self.extra_std**2)
         cov = linalg.congruence(from_first, first.cov)

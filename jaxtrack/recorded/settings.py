@@ -164,14 +164,19 @@ def known(value: Number | None) -> Number:
     return value
 
 
+def check_name(name: str) -> None:
+    """Raises a DataError for a tracker that there is not."""
+    if name not in ALGORITHMS:
+        raise DataError(f"tracker is {name!r}; give one of {', '.join(ALGORITHMS)}.")
+
+
 def with_algorithm(settings: Settings, name: str) -> Settings:
     """Returns settings with another tracker.
 
     Raises:
         DataError: If there is no such tracker.
     """
-    if name not in ALGORITHMS:
-        raise DataError(f"tracker is {name!r}; give one of {', '.join(ALGORITHMS)}.")
+    check_name(name)
     return settings._replace(tracker=settings.tracker._replace(name=name))
 
 

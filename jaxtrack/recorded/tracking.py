@@ -31,7 +31,13 @@ from jaxtrack.data.errors import DataError
 from jaxtrack.data.files import Table
 from jaxtrack.models.rest import Rest
 from jaxtrack.recorded import guess
-from jaxtrack.recorded.settings import Algorithm, Mode, Settings, known
+from jaxtrack.recorded.settings import (
+    Algorithm,
+    Mode,
+    Settings,
+    check_name,
+    known,
+)
 from jaxtrack.targets import imm
 from jaxtrack.trackers import (
     cbmember,
@@ -168,6 +174,7 @@ def make(table: Table, settings: Settings) -> tuple[Tracker, Any]:
 
 def algorithm(chosen: Algorithm, target: Target) -> Tracker:
     """Makes the tracker that the settings name."""
+    check_name(chosen.name)
     if chosen.name == "cbmember":
         given = chosen._asdict()
         own = inspect.signature(cbmember.cbmember).parameters

@@ -65,8 +65,10 @@ def miss(params: Any, bank: Mixture, log_active: Array) -> tuple[Mixture, Array]
     """Weighs the modes by their chance of a miss; returns the log of that of all."""
     log_miss = safe_log(1 - prob(params.detect, bank))
     missed = bank.log_weight + log_miss
-    log_normal = blending.log_normalise(missed, log_active)
     log_prob = mixture.total(missed + log_active)
+    # Where no mode can be missed, a miss says nothing of the mode.
+    missed = jnp.where(log_prob > -jnp.inf, missed, bank.log_weight)
+    log_normal = blending.log_normalise(missed, log_active)
     return bank._replace(log_weight=log_normal), log_prob
 
 

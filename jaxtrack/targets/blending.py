@@ -85,10 +85,9 @@ def by_mixture(
         axis=1,
     )
     log_total = jax.vmap(mixture.total)(log_joint)
-    possible = log_total > -jnp.inf
-    weight = jnp.exp(log_joint - jnp.where(possible, log_total, 0.0)[:, None])
+    weight = jnp.exp(jax.vmap(shares)(log_joint))
     blend = functools.partial(views.blend, method, params)
-    modes = jax.vmap(blend, (0, 0, None))(view.modes, weight[:, :-1], detections)
+    modes = jax.vmap(blend, (0, 0, None))(view.modes, weight, detections)
     log_total = log_normalise(log_total, view.log_active)
     return Mixture(log_total, modes.mean, modes.cov)
 
@@ -102,11 +101,11 @@ def by_residual(
     detections: Array,
 ) -> Mixture:
     """Weighs a mode by the density of its average residual; see `by_mixture`."""
-    weight = jnp.exp(shares(log_weight))[:-1]
-    detected = weight.sum()
+    weight = jnp.exp(shares(log_weight))
+    detected = weight[:-1].sum()
 
     def of_mode(mode: views.View) -> tuple[Any, Array]:
-        log_density = views.average_score(method, params, mode, weight, detections)
+        log_density = views.average_score(method, params, mode, weight[:-1], detections)
         return views.blend(method, params, mode, weight, detections), log_density
 
     modes, log_density = jax.vmap(of_mode)(view.modes)

@@ -29,7 +29,7 @@ import jax.numpy as jnp
 
 from jaxtrack import kalman, linearize, mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.targets import verbs, views
+from jaxtrack.targets import blending, verbs, views
 from jaxtrack.types import Array, Gaussian, Mixture, Target
 
 
@@ -120,8 +120,8 @@ def _blend(
     detections: Array,
 ) -> Gaussian:
     del missed  # a miss teaches nothing here
-    weight = jnp.where(log_weight > -jnp.inf, mixture.normalise(log_weight), 0.0)
-    return views.blend(method, params, view, weight[:-1], detections)
+    weight = jnp.exp(blending.shares(log_weight))
+    return views.blend(method, params, view, weight, detections)
 
 
 def _collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:

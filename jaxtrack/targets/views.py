@@ -180,14 +180,14 @@ def blend(
         method: Of `linearize`.
         params: A target's `Params`.
         view: How the belief is seen.
-        weight: Probability of each detection, [K]; none has what remains of one.
+        weight: Probability of each detection and, last, of none, [K + 1].
         detections: [K, Z].
 
     Returns:
         The posterior (Bar-Shalom and Fortmann 1988, section 6.4, whose gain and
         covariances all detections share).
     """
-    missed = 1 - weight.sum()
+    weight, missed = weight[:-1], weight[-1]
     prior, sight = view
     if sight is None:
         each, _ = jax.vmap(functools.partial(correct, method, params, view))(detections)
@@ -205,7 +205,7 @@ def blend(
     gap = surprises - average[None]
     spread = (weight[:, None, None] * gap[:, :, None] * gap[:, None, :]).sum(0)
     spread = spread + missed * average[:, None] * average[None]
-    cov = missed * prior.cov + (1 - missed) * sight.cov
+    cov = missed * prior.cov + weight.sum() * sight.cov
     return Gaussian(
         prior.mean + sight.gain @ average,
         cov + linalg.congruence(sight.gain, spread),

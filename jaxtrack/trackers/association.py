@@ -90,8 +90,9 @@ class Association(NamedTuple):
     Attributes:
         log_prob: Log-probability that each track has each detection or, last, none;
             rows sum to one, [N, K + 1].
-        log_ratio: Log-likelihood ratio of each track existing against not, given its
-            share of the scan, [N].
+        log_ratio: How much better the scan is explained with each track than without,
+            the log of a ratio of weights, [N]: L where tracks are certain, and
+            1 - r + r L where the scores count existence.
         log_norm: Log-weight of the scan: of all joint events, or of those considered.
         unexplained_prob: Probability that no track has the detection, [K].
         exact: Whether log_prob is what the method says, to rounding, [N] (bool).
@@ -167,6 +168,16 @@ def log_absent_or_missed(log_exists: Array, log_miss: Array) -> Array:
     return jnp.logaddexp(absent, log_exists + log_miss)
 
 
+def filled(scan: Scan) -> Scan:
+    """Returns a scan with a slot at least, and zeros where nothing was detected."""
+    short = 0 if scan.valid.size else 1
+    detections = jnp.where(scan.valid[:, None], scan.detections, 0.0)
+    return scan._replace(
+        detections=jnp.pad(detections, ((0, short), (0, 0))),
+        valid=jnp.pad(scan.valid, (0, short)),
+    )
+
+
 def hard(log_score: Array, column: Array, log_norm: Array) -> Association:
     """Makes the association in which each track has one detection, or none.
 
@@ -179,7 +190,7 @@ def hard(log_score: Array, column: Array, log_norm: Array) -> Association:
     taken = column[:, None] == jnp.arange(num_columns)[None]
     chosen = jnp.where(taken, log_score, 0.0).sum(1)
     return Association(
-        log_prob=jnp.where(taken, 0.0, -jnp.inf),
+        log_prob=jnp.where(taken, 0.0, -jnp.inf).astype(log_score.dtype),
         log_ratio=chosen,
         log_norm=log_norm,
         unexplained_prob=1 - taken[:, :-1].any(0).astype(log_score.dtype),
@@ -226,15 +237,37 @@ def existence(tracks: Tracks, sighting: Sighting, answer: Association) -> Array:
         answer: The association of those scores.
 
     Returns:
-        r L / (1 - r + r L), L the likelihood ratio. Where the scores count existence,
-        what the association found is 1 - r + r L already.
+        r L / (1 - r + r L), L the likelihood ratio. Rounding makes nobody immortal, and
+        no track that was taken for certain vanish: that is for the rule to say.
     """
     prob = tracks.existence_prob
     weighed = sighting.log_exists < 0
     log_absent = safe_log(1 - prob) - jnp.where(
         weighed, answer.log_ratio, _log_row(prob, answer.log_ratio)
     )
-    return jnp.where(prob > 0, -jnp.expm1(jnp.minimum(log_absent, 0.0)), 0.0)
+    info, after = jnp.finfo(prob.dtype), -jnp.expm1(jnp.minimum(log_absent, 0.0))
+    most = jnp.where(prob < 1, 1 - info.eps, 1.0)
+    least = jnp.where(weighed, 0.0, 1e6 * info.tiny)
+    return jnp.where(prob > 0, jnp.clip(after, least, most), 0.0)
+
+
+def log_ratio(tracks: Tracks, sighting: Sighting, answer: Association) -> Array:
+    """Returns the log-likelihood ratio L of each track against none, [N].
+
+    Args:
+        tracks: N predicted tracks.
+        sighting: The scores.
+        answer: The association of those scores.
+    """
+    ratio, prob = answer.log_ratio, tracks.existence_prob
+    weighed = (prob > 0) & (sighting.log_exists < 0)
+    safe = jnp.where(weighed, prob, 1.0)
+    # 1 + (x - 1) / r for x = 1 - r + r L, which for large x is x / r.
+    large = ratio > 30.0
+    some = 1 + jnp.expm1(jnp.where(large, 0.0, ratio)) / safe
+    small = jnp.log(jnp.maximum(some, jnp.finfo(prob.dtype).tiny))
+    recovered = jnp.where(large, ratio - jnp.log(safe), small)
+    return jnp.where(weighed, recovered, ratio)
 
 
 def _log_row(prob: Array, log_ratio: Array) -> Array:
@@ -265,8 +298,3 @@ def blend(
     return jax.vmap(target.blend, (None, 0, 0, 0, None))(
         params, sighting.views, sighting.missed, log_weight, scan.detections
     )
-
-
-def log_evidence(sighting: Sighting, answer: Association, expected: Array) -> Array:
-    """Returns the log-density of the scan, given the expected number of clutter."""
-    return answer.log_norm + sighting.log_clutter.sum() - expected

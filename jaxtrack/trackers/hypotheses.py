@@ -13,8 +13,10 @@ targets that nobody can tell apart, or the heaviest hypothesis.
     >>> from jaxtrack.trackers import hypotheses
     >>> tracker = hypotheses.hypotheses(targets.single.single(), max_hypotheses=100)
 
-`log_evidence` is exact but for what was dropped: the share of the weight that found no
-room, or was never proposed.
+`log_evidence` is exact, whatever was dropped before, as long as no more targets than
+`assign.exact.MAX_CLUSTER` share detections; the estimate's `exact` says whether that is
+so and nothing was dropped. `dropped` is the share of the weight that found no room, or
+was never proposed, times the number of targets.
 
 Reference: Singer, Sea and Housewright, "Derivation and evaluation of improved tracking
 filters for use in dense multitarget environments", IEEE Trans. Information Theory
@@ -67,12 +69,14 @@ class Children(NamedTuple):
         parent: [H].
         column: Which detection each target has, K for none, [H, N].
         log_total: Log-weight of all events of all parents.
+        exact: Whether that is, and not belief propagation's (bool).
     """
 
     log_weight: Array
     parent: Array
     column: Array
     log_total: Array
+    exact: Array
 
 
 @functools.cache
@@ -128,7 +132,7 @@ def _step(
     settings: Settings, params: Params, state: State, scan: Scan
 ) -> tuple[State, Estimate]:
     """Predicts, scores, follows each hypothesis by its events, keeps the heaviest."""
-    target, options = settings.target, params.target
+    target, options, scan = settings.target, params.target, association.filled(scan)
     each = functools.partial(jax.vmap, in_axes=(None, 0, None))
     beliefs, _ = each(each(target.predict))(options, state.beliefs, scan.interval)
 
@@ -160,8 +164,10 @@ def _step(
     log_weight = mixture.log_normalise(children.log_weight)
     following = State(log_weight, beliefs)
     lost = 1 - jnp.exp(mixture.total(children.log_weight) - children.log_total)
+    # Two sums of the same weights differ by some roundings.
+    lost = jnp.where(lost > 100 * jnp.finfo(lost.dtype).eps, lost, 0.0)
     estimate = _report(
-        settings, following, children.column, scan, log_evidence, jnp.maximum(lost, 0.0)
+        settings, following, children.column, scan, log_evidence, lost, children.exact
     )
     return following, estimate
 
@@ -177,7 +183,7 @@ def _follow(settings: Settings, log_weight: Array, log_score: Array) -> Children
     """Finds the heaviest children of H hypotheses with scores [H, N, K + 1]."""
     k_best = functools.partial(assign.k_best.k_best, k=settings.max_events)
     events = jax.vmap(k_best)(log_score)
-    everyone = jax.vmap(lambda x: assign.marginals.marginals(x).log_norm)(log_score)
+    everyone = jax.vmap(assign.marginals.marginals)(log_score)
     candidates = log_weight[:, None] + events.log_score
     kept, index = jax.lax.top_k(candidates.ravel(), settings.max_hypotheses)
     parent, event = jnp.divmod(index, settings.max_events)
@@ -185,7 +191,8 @@ def _follow(settings: Settings, log_weight: Array, log_score: Array) -> Children
         log_weight=kept,
         parent=parent,
         column=events.column[parent, event],
-        log_total=mixture.total(log_weight + everyone),
+        log_total=mixture.total(log_weight + everyone.log_norm),
+        exact=(everyone.exact.all(1) | (log_weight == -jnp.inf)).all(),
     )
 
 
@@ -196,6 +203,7 @@ def _report(
     scan: Scan,
     log_evidence: Array,
     lost: Array,
+    exact: Array,
 ) -> Estimate:
     """Tells of each target over all hypotheses, or in the heaviest."""
     target, weight = settings.target, state.log_weight
@@ -207,5 +215,5 @@ def _report(
     share = jnp.where(taken, jnp.exp(state.log_weight)[:, None, None], 0.0).sum(0)
     dropped = lost * tracks.label.size
     told = bernoulli.report(target, tracks, tracks.label, 0.5, log_evidence, dropped)
-    exact = jnp.full(tracks.label.shape, lost <= 0)
+    exact = jnp.full(tracks.label.shape, exact & (lost <= 0))
     return Estimate(**told._asdict(), association_prob=share, exact=exact)

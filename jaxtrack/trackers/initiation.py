@@ -177,7 +177,7 @@ def begin(
         The tracks begun.
     """
     birth = params.birth
-    if not isinstance(birth, (DetectionBirth, PairBirth)):
+    if not num_driven(birth, max_births):
         nobody = bernoulli.nobody(
             target, params.target, mode_prob(birth, params.target), 0, key
         )
@@ -193,7 +193,15 @@ def begin(
         sensor, layout = params.target.sensor, params.target.layout
         proposed = birth.propose(sensor, layout, *now, *leftovers, scan.interval)
         places, dropped = likeliest(proposed, max_births)
-        leftovers = _few(now, max_births)
+        now = _few(
+            jax.tree.map(lambda x, y: x.astype(y.dtype), now, leftovers), max_births
+        )
+        # A first point that found no room may have been a target's.
+        lost = 1 - now.unexplained_prob.sum() / jnp.maximum(
+            unexplained_prob.sum(), 1e-9
+        )
+        dropped = dropped + jnp.maximum(lost, 0.0) * birth.rate * scan.interval
+        leftovers = now
     tracks = bernoulli.begin(target, params.target, places, next_label, key)
     hits = 1 if isinstance(birth, DetectionBirth) else 2
     record = management.begin(tracks.existence_prob, num_hits=hits)

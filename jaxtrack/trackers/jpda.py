@@ -111,23 +111,35 @@ def associate(
 def by_events(log_score: Array, max_events: int) -> Association:
     """Finds the marginal probabilities over the likeliest joint events alone."""
     events = assign.k_best.k_best(log_score, max_events)
-    return of_events(log_score, events.column, events.log_score)
+    complete = events.log_score[-1] == -jnp.inf  # there was room for more
+    return of_events(log_score, events.column, events.log_score, complete)
 
 
-def of_events(log_score: Array, column: Array, log_weight: Array) -> Association:
+def of_events(
+    log_score: Array, column: Array, log_weight: Array, complete: Array
+) -> Association:
     """Makes the association of some joint events.
 
     Args:
         log_score: [N, K + 1].
         column: Which column each track has, [E, N].
         log_weight: Of each event; -inf for none, [E].
+        complete: Whether no event was left out (bool).
     """
     num_columns = log_score.shape[1]
     log_prob = mixture.log_normalise(log_weight)
     taken = column[:, :, None] == jnp.arange(num_columns)[None, None]
     prob = jnp.where(taken, jnp.exp(log_prob)[:, None, None], 0.0).sum(0)
-    exact = jnp.ones(len(log_score), bool)
+    exact = jnp.broadcast_to(complete, len(log_score))
     answer = association.soft(
         log_score, safe_log(prob), mixture.total(log_weight), exact
     )
-    return answer._replace(events=association.Events(column, log_prob))
+    # A miss that is in no event weighs no more than the last event that was kept.
+    least = jnp.min(jnp.where(log_prob > -jnp.inf, log_prob, 0.0))
+    none = log_score[:, -1]
+    left_out = (prob[:, -1] == 0) & (none > -jnp.inf)
+    bound = jnp.where(left_out, none, 0.0) - least
+    return answer._replace(
+        log_ratio=jnp.where(left_out, bound, answer.log_ratio),
+        events=association.Events(column, log_prob),
+    )

@@ -3,7 +3,8 @@
 Two targets side by side, each with a detection: JPDA gives either half of both, and the
 tracks coalesce between them. JPDA* keeps, of all joint events with the same tracks
 detected by the same detections, only the likeliest, so that what remains uncertain is
-which detections are the targets', not which is whose.
+which detections are the targets', not which is whose. It goes by the likeliest events
+alone; the estimate's `exact` says whether these were all.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import jpda_star
@@ -62,4 +63,5 @@ def associate(log_score: Array, max_events: int = 100) -> Association:
     order = jnp.arange(max_events)
     beaten = (same & (order[None] < order[:, None])).any(1)
     log_weight = jnp.where(beaten, -jnp.inf, events.log_score)
-    return jpda.of_events(log_score, events.column, log_weight)
+    complete = events.log_score[-1] == -jnp.inf  # there was room for more
+    return jpda.of_events(log_score, events.column, log_weight, complete)

@@ -146,19 +146,27 @@ def check(rule: Rule) -> None:
     if isinstance(rule, MofN):
         _check_counts("confirm", rule.confirm_hits, rule.confirm_scans)
         _check_counts("drop", rule.drop_misses, rule.drop_scans)
-        return
-    probs = {
-        name: value
-        for name, value in getattr(rule, "_asdict", dict)().items()
-        if name.endswith("_prob")
-    }
-    for name, value in probs.items():
-        if not 0 <= value <= 1:
-            raise ValueError(f"{name} is {value}; give a probability")
+    if isinstance(rule, ScoreTest):
+        confirm, drop = rule.false_confirm_prob, rule.false_drop_prob
+        for name, value in rule._asdict().items():
+            if not (value > 0 and (value < 1 or name == "drop_fall")):
+                remedy = "a fall above 0" if name == "drop_fall" else "0 < p < 1"
+                raise ValueError(f"{name} is {value}; give {remedy}")
+        if not confirm + drop < 1:
+            raise ValueError(
+                f"false_confirm_prob and false_drop_prob are {confirm} and {drop}; "
+                "give two that add up to less than 1"
+            )
+    if isinstance(rule, Existence) and not 0 <= rule.drop_prob < rule.confirm_prob < 1:
+        raise ValueError(
+            f"drop_prob is {rule.drop_prob} and confirm_prob is {rule.confirm_prob}; "
+            "give 0 <= drop_prob < confirm_prob < 1"
+        )
 
 
 def _check_counts(name: str, count: int, scans: int) -> None:
-    if not 1 <= count <= scans <= 32:
+    whole = isinstance(count, int) and isinstance(scans, int)
+    if not (whole and 1 <= count <= scans <= 32):
         raise ValueError(
             f"{name} takes {count} of {scans} scans; give 1 <= M <= N <= 32"
         )

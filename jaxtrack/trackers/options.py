@@ -70,7 +70,7 @@ def make(
         ValueError: A setting that makes no sense.
     """
     rule = rule or (management.Existence() if weighs else management.MofN())
-    _check(max_tracks, max_births, gate_prob, start_threshold)
+    _check(max_tracks, max_births, gate_prob, start_threshold, counts_clutter)
     management.check(rule)
     if not duplicate_threshold >= 0:
         raise ValueError(
@@ -96,7 +96,11 @@ def make(
 
 
 def _check(
-    max_tracks: int, max_births: int, gate_prob: float, start_threshold: float
+    max_tracks: int,
+    max_births: int,
+    gate_prob: float,
+    start_threshold: float,
+    counts_clutter: bool,
 ) -> None:
     if max_tracks < 1:
         raise ValueError(f"max_tracks is {max_tracks}; give at least 1")
@@ -107,3 +111,8 @@ def _check(
             f"start_threshold is {start_threshold}; give a probability, e.g. 0.5"
         )
     gate.check(gate_prob)
+    if counts_clutter and gate_prob == 1:
+        raise ValueError(
+            "gate_prob is 1 and counts_clutter is set, which counts within gates; give "
+            "gate_prob below 1, e.g. 0.999"
+        )

@@ -6,7 +6,9 @@ variances least, and with it the mean OSPA error. So tracks of targets side by s
 not coalesce. Labels may trade, too.
 
 The search goes back and forth between the averages and each event's best trade. It
-never gets worse, and ends at a local optimum.
+never gets worse, and ends at a local optimum. What is remembered of a track, its label,
+existence and record, stays with its place; only beliefs trade. It goes by the likeliest
+events alone; the estimate's `exact` says whether these were all.
 
     >>> from jaxtrack import targets
     >>> from jaxtrack.trackers import set_jpda

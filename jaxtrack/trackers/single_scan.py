@@ -16,8 +16,9 @@ the scan is explained with the track than without. In the integrated forms the s
 count it; in the others a track is taken for certain.
 
 `log_evidence` is the log-density of the scan given the tracks: exact for `jpda` where
-the marginals are, a lower bound where single events are considered; new targets are not
-in it.
+the marginals are, too small for `gnn` and where only the likeliest events are
+considered, too large for `pda` and `nearest`, which let tracks share a detection. New
+targets are not in it.
 
     >>> from jaxtrack.trackers import single_scan
     >>> single_scan.Estimate._fields[:4]
@@ -67,7 +68,8 @@ class State(NamedTuple):
     Attributes:
         tracks: N slots.
         record: What they have done, [N].
-        leftovers: The last scan's unexplained detections, for two-point births.
+        leftovers: The last scan's least explained detections, as many as there may be
+            births, for births at two points.
         next_label: The first free label.
         key: Random key.
     """
@@ -91,7 +93,8 @@ class Estimate(NamedTuple):
         mode_prob: [N, M].
         log_evidence: Log-density of the scan given the tracks.
         dropped: Expected number of targets, or parts of them, that found no room.
-        association_prob: Which detection it has; last column none, [N, K + 1].
+        association_prob: Which detection it has; last column none, [N, K + 1]; with a
+            slot for a detection even where a scan has none.
         exact: Whether association_prob is what the method says, [N] (bool).
     """
 
@@ -156,7 +159,7 @@ def step(
     settings: Settings, params: Params, state: State, scan: Scan
 ) -> tuple[State, Estimate]:
     """Predicts, associates, updates, confirms and drops, begins and reports."""
-    target, gating = settings.target, settings.gating
+    target, gating, scan = settings.target, settings.gating, association.filled(scan)
     key, birth_key = jax.random.split(state.key)
     record, label = state.record, state.next_label
 
@@ -191,7 +194,7 @@ def step(
     )
 
     clutter = scan.valid.sum() if gating.counts_clutter else params.clutter.rate
-    log_evidence = association.log_evidence(sighting, answer, clutter)
+    log_evidence = answer.log_norm + sighting.log_clutter.sum() - clutter
     told = tracks, record.confirmed, log_evidence, dropped + begun.dropped
     return following, _report(target, *told, jax.tree.map(lambda x: x[kept], shares))
 
@@ -233,7 +236,8 @@ def _update(
     belief = jax.vmap(target.adapt, (None, 0))(params.target, belief)
     prob = association.existence(tracks, sighting, answer)
     detected_prob = -jnp.expm1(answer.log_prob[:, -1])
-    record = management.record(record, detected_prob, answer.log_ratio)
+    ratio = association.log_ratio(tracks, sighting, answer)
+    record = management.record(record, detected_prob, ratio)
     confirmed = record.confirmed | settings.rule.confirms(record, prob)
     record = record._replace(confirmed=confirmed & (prob > 0))
     return tracks._replace(existence_prob=prob, belief=belief), record

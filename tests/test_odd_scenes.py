@@ -1,0 +1,233 @@
+"""The association family where something is missing, impossible or too much."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+from jaxtrack import engine, models, targets
+from jaxtrack.trackers import (
+    gnn,
+    hypotheses,
+    jpda,
+    jpda_star,
+    management,
+    nearest,
+    pda,
+    set_jpda,
+    single_scan,
+)
+from jaxtrack.types import Scan
+
+KEY = jax.random.key(0)
+FAMILY = {
+    "nearest": nearest.nearest,
+    "gnn": gnn.gnn,
+    "pda": pda.pda,
+    "jipda": jpda.jipda,
+    "set_jpda": functools.partial(set_jpda.set_jpda, max_events=6),
+}
+
+
+def array(*values):
+    return np.array(values, float)
+
+
+def start(exists, spread=5.0):
+    num = len(exists)
+    mean = np.stack([spread * np.arange(num), np.zeros(num)], 1)
+    cov = np.tile(np.eye(2), (num, 1, 1))
+    return models.birth.MultiBernoulliBirth(
+        np.array(exists, float), mean, cov, np.ones((num, 1))
+    )
+
+
+def line_params(birth=None, detect=0.9, survive=1.0, rate=2.0, known=None):
+    return single_scan.Params(
+        target=targets.single.Params(
+            motion=models.motion.ConstantVelocity(array(0.5)),
+            sensor=models.sensor.Position(array(1.0)),
+            survive=models.probability.Constant(np.array(survive)),
+            detect=models.probability.Constant(np.array(detect)),
+        ),
+        birth=birth,
+        clutter=models.clutter.UniformClutter(np.array(rate), array(-30), array(30)),
+        start=known,
+    )
+
+
+def births(kind):
+    common = {"rate": np.array(0.5), "max_existence_prob": np.array(0.3)}
+    rest = {"extra_std": np.zeros(0), "mode_prob": np.ones(1)}
+    if kind == "one":
+        return models.birth.DetectionBirth(**common, velocity_std=array(2.0), **rest)
+    return models.pairs.PairBirth(**common, max_speed=np.array(5.0), **rest)
+
+
+def scans_of(rows, slots, valid=None):
+    points = np.zeros((len(rows), slots, 1))
+    there = np.zeros((len(rows), slots), bool)
+    for t, row in enumerate(rows):
+        points[t, : len(row), 0] = row
+        there[t, : len(row)] = True
+    return Scan(points, there if valid is None else valid, np.ones(len(rows)))
+
+
+def ran(tracker, params, scans):
+    run = jax.jit(functools.partial(engine.run, tracker))
+    return jax.tree.map(np.array, run(params, scans, KEY))
+
+
+def narrow(tree):
+    return jax.tree.map(
+        lambda x: np.array(x, np.float32) if x.dtype == float else x, tree
+    )
+
+
+@pytest.mark.parametrize("name", FAMILY)
+def test_parameters_in_float32_where_float64_is_the_default(name):
+    params = narrow(line_params(births("two"), known=start([0.9, 0.8])))
+    scans = narrow(scans_of([[0.1, 5.2], [0.0, 4.9]], 3))
+    estimates = ran(FAMILY[name](targets.single.single(), max_tracks=4), params, scans)
+    assert estimates.mean.dtype == np.float32
+
+
+def test_leftovers_keep_the_precision_of_the_parameters():
+    params = line_params(births("two"))
+    scans = narrow(scans_of([[0.1, 5.2], [0.0, 4.9]], 3))
+    ran(gnn.gnn(targets.single.single(), max_tracks=4), params, scans)
+
+
+@pytest.mark.parametrize("name", [*FAMILY, "hypotheses"])
+@pytest.mark.parametrize("kind", [None, "one", "two"])
+def test_scans_without_slots_and_without_births(name, kind):
+    if name == "hypotheses":
+        if kind:
+            return
+        tracker = hypotheses.hypotheses(targets.single.single(), max_hypotheses=2)
+    else:
+        room = {} if kind is None else {"max_births": 0}
+        tracker = FAMILY[name](targets.single.single(), max_tracks=3, **room)
+    births_or_none = births(kind) if kind else None
+    params = line_params(births_or_none, known=start([0.9, 0.8]))
+    estimates = ran(tracker, params, scans_of([[], []], 0))
+    for leaf in jax.tree.leaves(estimates):
+        assert np.isfinite(leaf).all()
+    np.testing.assert_allclose(estimates.association_prob[..., -1][:, :2], 1.0)
+
+
+@pytest.mark.parametrize("name", [*FAMILY, "hypotheses"])
+def test_what_stands_in_padding_changes_nothing(name):
+    makers = {**FAMILY, "hypotheses": hypotheses.hypotheses}
+    size = {"max_hypotheses": 4} if name == "hypotheses" else {"max_tracks": 2}
+    tracker = makers[name](targets.single.single(), **size)
+    params = line_params(known=start([0.9, 0.8]))
+    scans = scans_of([[0.1, 5.2], [0.0]], 3)
+    filler = np.where(scans.valid[..., None], scans.detections, np.nan)
+    one, other = (
+        ran(tracker, params, x) for x in (scans, scans._replace(detections=filler))
+    )
+    for left, right in zip(one, other, strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def test_clutter_is_not_counted_without_gates():
+    with pytest.raises(ValueError, match="gate_prob is 1 and counts_clutter is set"):
+        pda.pda(targets.single.single(), counts_clutter=True, gate_prob=1.0)
+
+
+def test_a_missed_bank_that_is_always_seen_keeps_its_modes():
+    bank = targets.imm.Params(
+        motions=tuple(models.motion.ConstantVelocity(array(q)) for q in (0.1, 5.0)),
+        switching=models.switching.MarkovSwitching(np.eye(2)),
+        sensor=models.sensor.Position(array(1.0)),
+        survive=models.probability.Constant(np.array(1.0)),
+        detect=models.probability.Constant(np.array(1.0)),
+    )
+    known = start([0.99])._replace(mode_prob=np.array([[0.1, 0.9]]))
+    params = line_params(known=known)._replace(target=bank)
+    estimates = ran(jpda.jpda(targets.imm.imm()), params, scans_of([[]], 1))
+    np.testing.assert_allclose(estimates.mode_prob[0, 0], [0.1, 0.9])
+
+
+def test_score_of_a_track_that_is_weighed_by_existence():
+    """log(1 - P_D) a miss, in the integrated form as in the other."""
+    never = management.ScoreTest(1e-9, 1e-9, 1e9)
+    params, target = line_params(known=start([0.3])), targets.single.single()
+    for maker in (jpda.jpda, jpda.jipda):
+        tracker = maker(target, rule=never, max_tracks=2)
+
+        @jax.jit
+        def scores(params, tracker=tracker):
+            state = tracker.init(params, KEY)
+            step = functools.partial(tracker.step, params)
+            return jax.lax.scan(step, state, scans_of([[]] * 5, 1))[0].record.score
+
+        np.testing.assert_allclose(scores(params)[0], 5 * np.log(0.1), rtol=1e-9)
+
+
+def test_nobody_is_immortal_in_float32():
+    rows = [[0.0]] * 8 + [[]] * 30
+    params = narrow(line_params(known=start([0.5]), rate=1e-3))
+    tracker = jpda.jipda(targets.single.single(), max_tracks=2)
+    estimates = ran(tracker, params, narrow(scans_of(rows, 1)))
+    assert estimates.exists[7, 0]
+    assert not estimates.exists[-1].any()
+
+
+def test_a_track_taken_for_certain_goes_by_the_rule_alone():
+    stay = management.MofN(1, 1, 32, 32)
+    params = narrow(line_params(known=start([0.9]), detect=1.0, survive=0.999))
+    tracker = gnn.gnn(targets.single.single(), max_tracks=2, rule=stay)
+    estimates = ran(tracker, params, narrow(scans_of([[]] * 30, 1)))
+    assert estimates.exists[:, 0].all()
+
+
+def test_events_that_are_not_all_say_so():
+    rng = np.random.default_rng(0)
+    log_score = np.concatenate([rng.normal(size=(5, 5)) + 2, np.zeros((5, 1))], 1)
+    true = jax.jit(jpda.associate)(log_score)
+    for associate in (jpda.by_events, jpda_star.associate):
+        few, every = (
+            jax.jit(functools.partial(associate, max_events=n))(log_score)
+            for n in (20, 1600)
+        )
+        assert not few.exact.any()
+        assert every.exact.all()
+        assert np.isfinite(few.log_ratio).all()
+    every = jax.jit(functools.partial(jpda.by_events, max_events=1600))(log_score)
+    np.testing.assert_allclose(every.log_ratio, true.log_ratio, rtol=1e-9)
+
+
+def test_first_points_without_room_are_counted():
+    params = line_params(births("two"))
+    tracker = gnn.gnn(targets.single.single(), max_tracks=8, max_births=2)
+    estimates = ran(tracker, params, scans_of([[-15.0, -12.0, -9.0, 10.0], [11.0]], 4))
+    np.testing.assert_allclose(estimates.dropped[0], 0.5 * 0.5)  # half of the births
+
+
+def test_confirmed_tracks_stay_when_room_is_short():
+    """Even before a likelier tentative one."""
+    rule = management.MofN(2, 2, 3, 3)
+    known = start([0.45, 0.45, 0.6])
+    params = line_params(known=known, survive=0.9)
+    tracker = gnn.gnn(targets.single.single(), max_tracks=3, rule=rule)
+    estimates = ran(tracker, params, scans_of([[10.0]], 1))
+    assert list(estimates.label[0, :1]) == [2]
+    assert estimates.exists[0, 0]
+    assert not estimates.exists[0, 1:].any()
+
+
+def test_too_many_targets_for_exact_sums_are_said():
+    params = line_params(known=start([1.0] * 11, spread=0.1))
+    tracker = hypotheses.hypotheses(
+        targets.single.single(), max_hypotheses=140, max_events=140
+    )
+    estimates = ran(tracker, params, scans_of([[0.2, 0.6]], 2))
+    assert not estimates.exact.any()
+    two = line_params(known=start([1.0, 1.0]))
+    enough = hypotheses.hypotheses(targets.single.single(), 8, 8)
+    estimates = ran(enough, narrow(two), narrow(scans_of([[0.2, 4.6]], 2)))
+    assert estimates.exact.all()
+    np.testing.assert_array_equal(estimates.dropped, 0.0)
