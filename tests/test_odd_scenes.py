@@ -231,3 +231,46 @@ def test_too_many_targets_for_exact_sums_are_said():
     estimates = ran(enough, narrow(two), narrow(scans_of([[0.2, 4.6]], 2)))
     assert estimates.exact.all()
     np.testing.assert_array_equal(estimates.dropped, 0.0)
+
+
+def test_every_track_adapts_once_a_scan():
+    """What the verb gives back is what the next scan starts from."""
+    base = targets.single.single()
+
+    def moved(params, belief):
+        del params
+        return belief._replace(mean=belief.mean + 100.0)
+
+    target = base._replace(adapt=moved)
+    params = line_params(known=start([0.9, 0.8]))
+    makers = {"max_tracks": 2}, {"max_hypotheses": 2}
+    for maker, size in zip((jpda.jpda, hypotheses.hypotheses), makers, strict=True):
+        one, other = (
+            ran(maker(x, **size), params, scans_of([[0.1, 5.1]], 2))
+            for x in (base, target)
+        )
+        np.testing.assert_allclose(other.mean, one.mean + 100.0, rtol=1e-9)
+
+
+def test_two_points_are_two_hits():
+    """With a third detection they make three in three scans."""
+    rule = management.MofN(3, 3, 3, 3)
+    rows = [[0.0], [1.0], [2.0], [3.0]]
+    found = []
+    for kind in ("two", "one"):
+        params = line_params(births(kind), rate=0.5)
+        tracker = gnn.gnn(targets.single.single(), max_tracks=3, rule=rule)
+        estimates = ran(tracker, params, scans_of(rows, 1))
+        found.append(int(np.argmax(estimates.exists.any(1))))
+    assert found == [2, 2]
+
+
+def test_the_least_explained_are_left_for_the_next_scan():
+    """A detection that a track explains makes room for one that nobody explains."""
+    params = line_params(births("two"), known=start([0.9]))
+    tracker = pda.pda(
+        targets.single.single(), max_tracks=4, max_births=1, start_threshold=0.0
+    )
+    rows = [[0.2, 12.0], [13.0]]
+    estimates = ran(tracker, params, scans_of([*rows, [14.0]], 2))
+    assert (np.abs(estimates.mean[-1, :, 0] - 14.0) < 1.0).any()
