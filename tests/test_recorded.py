@@ -18,6 +18,8 @@ from jaxtrack.recorded import (
     settings,
     tracking,
 )
+from jaxtrack.targets import imm
+from jaxtrack.trackers import management
 
 NAMES = np.array(["Ada", "Bob"])
 SPEED = np.array([[6.0, 1.0], [-3.0, 4.0]])
@@ -254,3 +256,32 @@ def test_the_harbour_is_tracked():
     result = tracking.track(data, reading.harbour())
     scores = scoring.score(result, data, "MMSI")
     assert scores.identity.idf1 > 0.45
+
+
+@pytest.mark.parametrize("name", settings.ALGORITHMS[1:])
+def test_settings_reach_the_tracker_that_they_name(name):
+    chosen = settings.Algorithm(
+        name=name,
+        max_tracks=7,
+        max_births=3,
+        gate_prob=0.9,
+        start_threshold=0.3,
+        confirm_hits=2,
+        confirm_scans=4,
+        drop_misses=6,
+        drop_scans=8,
+        confirm_prob=0.7,
+        drop_prob=0.01,
+    )
+    made = tracking.algorithm(chosen, imm.imm()).step.args[0]
+    assert (made.max_tracks, made.max_births, made.start_threshold) == (7, 3, 0.3)
+    assert made.gating.prob == 0.9
+    if made.weighs:
+        assert made.rule == management.Existence(0.7, 0.01)
+    else:
+        assert made.rule == management.MofN(2, 4, 6, 8)
+
+
+def test_a_tracker_that_there_is_not():
+    with pytest.raises(DataError, match="tracker is 'jpdaa'"):
+        tracking.algorithm(settings.Algorithm(name="jpdaa"), imm.imm())

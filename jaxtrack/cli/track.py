@@ -41,7 +41,7 @@ def track(
     ] = None,
     tracker: Annotated[
         str | None,
-        typer.Option(help="cbmember, nearest, gnn, pda, ipda, jpda or jipda."),
+        typer.Option(help="Its name, such as gnn or jipda; see `jaxtrack config`."),
     ] = None,
     harbour: Annotated[
         bool, typer.Option("--harbour", help="Track the ships of New York harbour.")

@@ -13,7 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from jaxtrack.data.errors import DataError
 
-ALGORITHMS = ("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda")
+ALGORITHMS = (
+    *("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda"),
+    *("jpda-star", "set-jpda"),  # for scenes of a few targets: both list joint events
+)
 
 Number = TypeVar("Number", int, float)
 

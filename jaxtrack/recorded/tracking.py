@@ -43,10 +43,12 @@ from jaxtrack.trackers import (
     cbmember,
     gnn,
     jpda,
+    jpda_star,
     management,
     nearest,
     options,
     pda,
+    set_jpda,
     single_scan,
 )
 from jaxtrack.types import Target, Tracker
@@ -56,6 +58,8 @@ CERTAIN: dict[str, Callable[..., Tracker]] = {
     "gnn": gnn.gnn,
     "pda": pda.pda,
     "jpda": jpda.jpda,
+    "jpda-star": jpda_star.jpda_star,
+    "set-jpda": set_jpda.set_jpda,
 }
 INTEGRATED: dict[str, Callable[..., Tracker]] = {"ipda": pda.ipda, "jipda": jpda.jipda}
 
