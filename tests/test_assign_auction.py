@@ -1,4 +1,7 @@
-"""Tests of `assign.auction` against the exact solver."""
+"""Tests of `assign.auction` against the exact solver.
+
+Totals may be zero, so bounds on their differences are absolute.
+"""
 
 import jax
 import jax.numpy as jnp

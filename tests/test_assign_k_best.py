@@ -1,4 +1,7 @@
-"""Tests of `assign.k_best` against a sorted list of all joint events."""
+"""Tests of `assign.k_best` against a sorted list of all joint events.
+
+Sums of scores may be zero, so bounds on them are absolute.
+"""
 
 import chex
 import jax

@@ -1,4 +1,7 @@
-"""Tests of `assign.marginals`, `exact` and `belief` against sums over all events."""
+"""Tests of `assign.marginals`, `exact` and `belief` against sums over all events.
+
+Probabilities are between 0 and 1, and so are slopes, so bounds on them are absolute.
+"""
 
 import chex
 import jax

@@ -1,4 +1,7 @@
-"""Tests of `assign.soft`: what it maximises, its limit and its derivatives."""
+"""Tests of `assign.soft`: what it maximises, its limit and its derivatives.
+
+Shares are between 0 and 1, and so are slopes, so bounds on them are absolute.
+"""
 
 import chex
 import jax
