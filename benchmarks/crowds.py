@@ -18,8 +18,8 @@ from jaxtrack import engine, scenarios
 
 KIND = "float32"
 TRACKERS = "gnn", "jpda", "jpda-bp", "jipda", "cbmember"
-TARGETS, FEW_FALSE = (2, 10, 50, 200), 10
-FALSE, FEW_TARGETS = (5, 40, 120), 10
+TARGETS, FEW_FALSE = (2, 20, 200), 10
+FALSE, FEW_TARGETS = (5, 80), 10
 RUNS, SCANS, MIDDLE = 4, 6, 27  # scans from one before all meet
 RESULTS = pathlib.Path(__file__).parent / "results"
 
