@@ -38,6 +38,7 @@ def test_events_are_within_the_bound_and_exact_for_whole_numbers(shape):
         assert (short >= -1e-12).all()
         assert (short <= shape[0] * epsilon + 1e-12).all()
     whole = np.arange(len(log_score))[fits] >= len(log_score) // 2
+    # Differences of totals, which should be 0.
     np.testing.assert_allclose(short[whole], 0, atol=1e-12)
     for column in found.column[found.feasible]:
         taken = column[column < shape[1]]

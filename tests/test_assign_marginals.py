@@ -70,6 +70,7 @@ def test_clusters_are_summed_apart_and_what_is_too_large_is_told():
             assert (found.exact[0, own] == (len(own) <= size)).all()
             # Probabilities, so that an absolute error is one relative to 1.
             right = prob if len(own) <= size else 0 * prob
+            # Probabilities, between 0 and 1.
             np.testing.assert_allclose(found.prob[0, own], right, atol=1e-12)
         expected = sum(norm for key, (_, norm) in alone.items() if key <= size)
         np.testing.assert_allclose(found.log_norm[0], expected, rtol=1e-12)
