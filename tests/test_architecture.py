@@ -17,7 +17,10 @@ FLOORS = (
     {"types", "start"},
     {"entries"},
     {"linalg", "models"},
-    {"linearize", "kalman", "kalman_parallel", "mixture", "particle", "rcm_kalman"},
+    {
+        *("linearize", "kalman", "kalman_parallel", "mixture", "cardinality"),
+        *("particle", "rcm_kalman"),
+    },
     {"assign"},
     {"gate", "imm"},
     {"targets"},
