@@ -62,7 +62,7 @@ class Scan(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: fourteen functions.
+    """The belief about one target, as a tracker sees it: fifteen functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -90,13 +90,16 @@ class Target(NamedTuple):
             One whose detection is uncertain: k with weight k, or none with the last
             weight, where it is `missed` (what `miss` gave). If all weights are empty
             it was missed.
-        adapt: (params, belief) -> belief. Called once a scan on the belief that came of
-            it: what may change once all of the scan is known, such as the set of
-            active modes.
+        adapt: (params, belief, existence_prob) -> belief. Called once a scan on the
+            belief that came of it: what may change once all of the scan is known, such
+            as the set of active modes, or the number of particles that a track of such
+            probability to exist is worth.
         moments: (belief) -> Gaussian. Mean and covariance over all modes.
         modes: (belief) -> mode_prob[M]. One if there is a single mode.
         lost: (belief) -> scalar. Share of the belief's mass that its capacities threw
             away when it was last predicted or collapsed; 0 where nothing can be lost.
+        effective_size: (belief) -> scalar. How many equally weighted particles the
+            belief is worth; 0 where it is no sample.
     """
 
     begin: Callable[..., PyTree]
@@ -113,6 +116,7 @@ class Target(NamedTuple):
     moments: Callable[[PyTree], Gaussian]
     modes: Callable[[PyTree], Array]
     lost: Callable[[PyTree], Array]
+    effective_size: Callable[[PyTree], Array]
 
 
 class Tracker(NamedTuple):

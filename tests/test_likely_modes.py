@@ -80,7 +80,7 @@ def live(target, params, mode_prob, detections, beta):
         square, log_det = target.distance(params, view, z)
         certain = target.correct(params, view, z[0])
         belief = target.blend(params, view, missed, log_beta, z)
-        belief = target.adapt(params, belief)
+        belief = target.adapt(params, belief, 1.0)
         chances = log_survive, log_miss, score, square, log_det
         chances += target.modes(certain), target.moments(certain).mean
         told = target.moments(belief), target.modes(belief), chances

@@ -237,8 +237,8 @@ def test_every_track_adapts_once_a_scan():
     """What the verb gives back is what the next scan starts from."""
     base = targets.single.single()
 
-    def moved(params, belief):
-        del params
+    def moved(params, belief, existence_prob):
+        del params, existence_prob
         return belief._replace(mean=belief.mean + 100.0)
 
     target = base._replace(adapt=moved)

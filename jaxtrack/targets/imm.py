@@ -96,6 +96,7 @@ def imm(
         moments=mixture.collapse,
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),
+        effective_size=verbs.no_sample,
     )
 
 

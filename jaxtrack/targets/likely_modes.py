@@ -41,10 +41,10 @@ weigh the modes, so that t1 and t2 can be learned by gradient (see `likely_set`)
     >>> bank = target.begin(params, prior, jnp.array([0.0, 1.0, 0.0]), None)
     >>> likely_modes.num_active(target.modes(bank)).item()
     1
-    >>> likely_modes.num_active(target.modes(target.adapt(params, bank))).item()
+    >>> likely_modes.num_active(target.modes(target.adapt(params, bank, 1.0))).item()
     1
     >>> bank, _ = target.predict(params, bank, jnp.array(1.0))
-    >>> print(target.modes(target.adapt(params, bank)).round(1))
+    >>> print(target.modes(target.adapt(params, bank, 1.0)).round(1))
     [0.1 0.8 0.1]
 
 References: Gomes, "An overview on target tracking using multiple models methods", 2011,
@@ -189,6 +189,7 @@ def likely_modes(
         moments=lambda belief: mixture.collapse(belief.counted),
         modes=lambda belief: mixture.normalise(belief.counted.log_weight),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
+        effective_size=verbs.no_sample,
     )
 
 
@@ -251,8 +252,13 @@ def _collapse(log_weight: Array, many: Belief) -> Belief:
 
 
 def _adapt(
-    min_modes: int, temperature: float, params: Params, belief: Belief
+    min_modes: int,
+    temperature: float,
+    params: Params,
+    belief: Belief,
+    existence_prob: Array,
 ) -> Belief:
+    del existence_prob
     log_active, log_next = likely_set.adapt(
         belief.counted.log_weight,
         belief.log_active,

@@ -103,6 +103,7 @@ def mixture(
             jax.vmap(gaussians.total)(belief.log_weight)
         ),
         lost=lambda belief: belief.lost,
+        effective_size=verbs.no_sample,
     )
 
 

@@ -78,6 +78,7 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         moments=lambda belief: belief,
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
+        effective_size=verbs.no_sample,
     )
 
 

@@ -48,7 +48,12 @@ def blend(
     return blend
 
 
-def unchanged(params: Any, belief: PyTree) -> PyTree:
+def unchanged(params: Any, belief: PyTree, existence_prob: Array) -> PyTree:
     """Is the verb `adapt` of a target in which nothing adapts."""
-    del params
+    del params, existence_prob
     return belief
+
+
+def no_sample(belief: PyTree) -> Array:
+    """Is the verb `effective_size` of a target whose belief is no sample."""
+    return jnp.zeros((), jax.tree.leaves(belief)[0].dtype)

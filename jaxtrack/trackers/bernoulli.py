@@ -58,6 +58,8 @@ class Estimate(NamedTuple):
         exists: Report this one, [N] (bool).
         existence_prob: [N]; its sum is the expected number of targets.
         mode_prob: [N, M].
+        effective_size: How many equally weighted particles each belief is worth; 0
+            where it is no sample, [N].
         log_evidence: Log-density of the scan given the past; how exact, the tracker
             says.
         dropped: Expected number of targets, or of the parts of their mixtures, that the
@@ -70,6 +72,7 @@ class Estimate(NamedTuple):
     exists: Array
     existence_prob: Array
     mode_prob: Array
+    effective_size: Array
     log_evidence: Array
     dropped: Array
 
@@ -241,16 +244,16 @@ def tell_apart(
     exists = tracks.existence_prob > threshold
     slot = jnp.arange(exists.size)
     rank = jnp.where(tracks.alias >= 0, slot + slot.size, slot)
-    rival = _repeats(tracks.label, exists, rank)
+    rival = repeats(tracks.label, exists, rank)
     known = rival & (tracks.alias >= 0)
-    named = known & ~_repeats(tracks.alias, known, slot)
+    named = known & ~repeats(tracks.alias, known, slot)
     fresh = next_label + jnp.cumsum(rival & ~named) - 1
     alias = jnp.where(rival & ~named, fresh, tracks.alias)
     shown = jnp.where(rival, alias, tracks.label)
     return tracks._replace(alias=alias), shown, next_label + (rival & ~named).sum()
 
 
-def _repeats(name: Array, among: Array, rank: Array) -> Array:
+def repeats(name: Array, among: Array, rank: Array) -> Array:
     """Tells which of some slots have the name of one of lower rank, [N] (bool)."""
     same = (name[:, None] == name[None]) & among[:, None] & among[None]
     return (same & (rank[:, None] < rank[None])).any(0)
@@ -285,6 +288,7 @@ def report(
         exists=tracks.existence_prob > threshold,
         existence_prob=tracks.existence_prob,
         mode_prob=jax.vmap(target.modes)(tracks.belief),
+        effective_size=jax.vmap(target.effective_size)(tracks.belief),
         log_evidence=log_evidence,
         dropped=dropped,
     )

@@ -295,6 +295,6 @@ def _keep(
         Tracks(hit_prob, hits, tracks.label[ancestor], tracks.alias[ancestor]),
     )
     survivors = jax.tree.map(lambda x: x[kept], survivors)
-    belief = jax.vmap(target.adapt, (None, 0))(params, survivors.belief)
+    belief = jax.vmap(target.adapt, (None, 0, 0))(params, survivors.belief, kept_prob)
     # Nothing dropped can come out as minus one rounding.
     return survivors._replace(belief=belief), jnp.maximum(dropped, 0.0)

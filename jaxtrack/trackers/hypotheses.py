@@ -156,8 +156,9 @@ def _step(
         lambda x: x[children.parent], (sights.views, sights.missed)
     )
     beliefs = jax.vmap(jax.vmap(pick))(views, missed, children.column)
-    adapt = jax.vmap(jax.vmap(target.adapt, (None, 0)), (None, 0))
-    beliefs = adapt(options, beliefs)
+    certain = jnp.ones((), state.log_weight.dtype)
+    adapt = jax.vmap(jax.vmap(target.adapt, (None, 0, None)), (None, 0, None))
+    beliefs = adapt(options, beliefs, certain)
 
     log_clutter = sights.log_clutter[0].sum() - params.clutter.rate
     log_evidence = children.log_total + log_clutter

@@ -91,6 +91,8 @@ class Estimate(NamedTuple):
         exists: Confirmed: report this one, [N] (bool).
         existence_prob: [N].
         mode_prob: [N, M].
+        effective_size: How many equally weighted particles each belief is worth; 0
+            where it is no sample, [N].
         log_evidence: Log-density of the scan given the tracks.
         dropped: Expected number of targets, or parts of them, that found no room.
         association_prob: Which detection it has; last column none, [N, K + 1]; with a
@@ -104,6 +106,7 @@ class Estimate(NamedTuple):
     exists: Array
     existence_prob: Array
     mode_prob: Array
+    effective_size: Array
     log_evidence: Array
     dropped: Array
     association_prob: Array
@@ -233,8 +236,8 @@ def _update(
     """Gives each track what its detections teach, and its record the scan."""
     target = settings.target
     belief = settings.update(target, params.target, sighting, answer, scan)
-    belief = jax.vmap(target.adapt, (None, 0))(params.target, belief)
     prob = association.existence(tracks, sighting, answer)
+    belief = jax.vmap(target.adapt, (None, 0, 0))(params.target, belief, prob)
     detected_prob = -jnp.expm1(answer.log_prob[:, -1])
     ratio = association.log_ratio(tracks, sighting, answer)
     record = management.record(record, detected_prob, ratio)

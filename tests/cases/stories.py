@@ -46,7 +46,7 @@ def story(target, inputs):
         "missed": missed,
         "corrected": corrected,
         "collapsed": target.collapse(inputs.log_weight, few),
-        "blended": target.adapt(params, blended),
+        "blended": target.adapt(params, blended, jnp.full_like(inputs.interval, 0.8)),
         "square": square,
         "log_det": log_det,
         "log_survive": log_survive,
