@@ -130,7 +130,8 @@ def leave_one_out(
     """Returns a weighted sum of symmetric functions for all sets that lack one value.
 
     All at once in O(K J): what comes before a value by the recursion of `symmetric`,
-    times what comes after it by the recursion's transpose.
+    times what comes after it by the recursion's transpose. `vmap` over coefficients
+    only: what comes before is then worked out once.
 
     Args:
         log_value: [K]; -inf marks an empty slot.
@@ -191,7 +192,8 @@ def _nothing(log_value: Array, max_order: int) -> Array:
 def _log_add(left: Array, right: Array) -> Array:
     """Returns log(exp(left) + exp(right)), with finite gradients at -inf."""
     low, high = jnp.minimum(left, right), jnp.maximum(left, right)
-    return high + jnp.log1p(jnp.exp(low - jnp.where(low == -jnp.inf, 0.0, high)))
+    share = jnp.exp(low - jnp.where(low == -jnp.inf, 0.0, high))
+    return high + jnp.log(1 + share)  # log1p is no better here and far slower
 
 
 def _totals(log_values: Array) -> Array:
