@@ -169,6 +169,45 @@ def cholesky(cov: Array | Matrix) -> Any:
     return _like(Matrix(lower), cov)
 
 
+def root(cov: Array | Matrix) -> Any:
+    """Returns a lower factor of a covariance [D, D] that may be singular.
+
+    Its column is zero where a component has no variance of its own left: less than
+    rounding of its whole variance. Gradients are finite there.
+    """
+    size = cov.shape[0]
+    chex.assert_shape(cov, (size, size))
+    least = float(8 * size * jnp.finfo(cov.dtype).eps)
+    if size > UNROLL:
+        return _large_root(symmetrize(dense(cov)), least)
+    apart = entries(cov).rows
+    lower: list[list[Any]] = [[0] * size for _ in range(size)]
+    for j in range(size):
+        rest = minus(apart[j][j], dot(lower[j][:j], lower[j][:j]))
+        if isinstance(rest, int | float) and rest == 0:
+            continue
+        free = rest > least * apart[j][j]
+        pivot = once(jnp.sqrt(jnp.where(free, rest, 1.0)))
+        lower[j][j] = jnp.where(free, pivot, 0.0)
+        for i in range(j + 1, size):
+            below = minus(apart[i][j], dot(lower[i][:j], lower[j][:j]))
+            known = isinstance(below, int | float) and below == 0
+            lower[i][j] = 0 if known else jnp.where(free, below / pivot, 0.0)
+    return _like(Matrix(lower), cov)
+
+
+def _large_root(cov: Array, least: float) -> Array:
+    """Takes away one column after the other."""
+    variance, columns = jnp.diagonal(cov), []
+    for j in range(len(cov)):
+        free = cov[j, j] > least * variance[j]
+        pivot = jnp.sqrt(jnp.where(free, cov[j, j], 1.0))
+        column = jnp.where(free & (jnp.arange(len(cov)) >= j), cov[:, j] / pivot, 0.0)
+        cov = cov - jnp.outer(column, column)
+        columns.append(column)
+    return jnp.stack(columns, axis=1)
+
+
 def solve_lower(lower: Array | Matrix, right: Array | Matrix) -> Any:
     """Returns the solution of lower [D, D] @ x = right, with right [D] or [D, C]."""
     return _solve(lower, right, backwards=False)

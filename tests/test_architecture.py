@@ -19,7 +19,7 @@ FLOORS = (
     {"linalg", "models"},
     {
         *("linearize", "kalman", "kalman_parallel", "mixture", "cardinality"),
-        *("particle", "rcm_kalman"),
+        *("particle", "resampling", "rcm_kalman"),
     },
     {"assign"},
     {"gate", "imm"},

@@ -5,6 +5,6 @@
 True
 """
 
-from jaxtrack.targets import imm, likely_modes, mixture, single
+from jaxtrack.targets import imm, likely_modes, mixture, particles, single
 
-__all__ = ["imm", "likely_modes", "mixture", "single"]
+__all__ = ["imm", "likely_modes", "mixture", "particles", "single"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxtrack import linearize
 from jaxtrack.models import motion, probability, sensor, switching, turn
-from jaxtrack.targets import imm, likely_modes, mixture, single
+from jaxtrack.targets import imm, likely_modes, mixture, particles, single
 from jaxtrack.types import Gaussian, Target
 
 NUM = 4  # detections, and beliefs to collapse
@@ -107,6 +107,10 @@ def likely_modes_case():
 
 
 def imm_nonlinear_case():
+    return nonlinear_case(imm.imm())
+
+
+def nonlinear_case(target):
     params = imm.Params(
         motions=(
             turn.TurnRate(value(2.0), value(1e-3)),
@@ -119,7 +123,6 @@ def imm_nonlinear_case():
         survive=probability.PerMode(array(0.97, 0.8)),
         detect=probability.PerMode(array(0.9, 0.6)),
     )
-    target = imm.imm(linearize.taylor)
     return Case(target, params, TURNING, array(0.65, 0.35), *RADAR_SPAN)
 
 
@@ -135,6 +138,8 @@ def one_mode_case():
 
 
 MERGING = mixture.mixture(max_components=6, prune_threshold=0.0, merge_threshold=1.0)
+FEW = particles.particles(max_particles=60, mode_proposal=lambda x: x / 2)
+FEW = particles.particles(max_particles=60, mode_proposal=lambda x: x / 2 - 1)
 CASES = {
     "single_kf": kf_case,
     "single_ekf": functools.partial(radar_case, linearize.taylor),
@@ -145,7 +150,11 @@ CASES = {
     "likely_modes": likely_modes_case,
     "mixture": functools.partial(linear_case, MERGING),
     "mixture_one_mode": one_mode_case,
+    "particles": functools.partial(linear_case, FEW),
+    "particles_nonlinear": functools.partial(nonlinear_case, FEW),
 }
+# What they draw agrees with the others on average only: see `test_particles`.
+SAMPLED = {"particles", "particles_nonlinear"}
 # The CKF is the UKF with other weights, one mode is less than two, and with all modes
 # active the likely ones are those of the IMM.
 SECOND_VARIANTS = {"single_ckf", "mixture_one_mode", "likely_modes"}

@@ -1,0 +1,228 @@
+"""A target whose belief is a set of weighted particles with modes: SMC.
+
+It takes any motions, also nonlinear ones with noise of low rank, any sensor, and
+probabilities of survival and detection that depend on the state. With one mode it is
+the bootstrap filter.
+
+A belief is resampled at the start of a prediction, where it needs to be, and where
+several beliefs become one; what a scan teaches only changes weights. So a miss, a
+correction and a blend are exact for the particles there are, and estimates are taken
+before anything is drawn.
+
+    >>> import jax, jax.numpy as jnp
+    >>> from jaxtrack import models
+    >>> from jaxtrack.targets import particles
+    >>> from jaxtrack.types import Gaussian
+    >>> params = particles.Params(
+    ...     motions=(models.motion.ConstantVelocity(jnp.ones(1)),),
+    ...     switching=models.switching.MarkovSwitching(jnp.ones((1, 1))),
+    ...     sensor=models.sensor.Position(noise_std=jnp.ones(1)),
+    ...     survive=models.probability.Constant(jnp.array(0.99)),
+    ...     detect=models.probability.Constant(jnp.array(0.9)),
+    ... )
+    >>> target = particles.particles(max_particles=500)
+    >>> prior = Gaussian(jnp.zeros(2), jnp.eye(2))
+    >>> belief = target.begin(params, prior, jnp.ones(1), jax.random.key(0))
+    >>> belief, _ = target.predict(params, belief, jnp.array(1.0))
+    >>> belief = target.correct(params, target.look(params, belief), jnp.array([1.0]))
+    >>> print(f"{target.moments(belief).mean[0]:.1f}")  # exactly 0.7
+    0.7
+
+Reference: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget
+multi-Bernoulli filter for tracking maneuvering targets", 2013, equations 14 to 24.
+Unlike equation 15, weights h / alpha of a mode proposal are scaled to sum to one: their
+expected sum is known to be one, and a probability to survive stays one.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import linalg, mixture, particle, resampling
+from jaxtrack.linalg import safe_log
+from jaxtrack.resampling import Scheme
+from jaxtrack.targets import blending, cloud_motion, cloud_views, clouds, verbs
+from jaxtrack.targets.cloud_motion import ModeProposal
+from jaxtrack.targets.cloud_views import View
+from jaxtrack.targets.clouds import Belief
+from jaxtrack.targets.imm import Params
+from jaxtrack.types import Array, Gaussian, Target
+
+__all__ = ["Params", "particles"]
+
+
+class Settings(NamedTuple):
+    """The maker's arguments."""
+
+    max_particles: int
+    min_particles: int
+    scheme: Scheme
+    ess_threshold: float
+    regularise: bool
+    mode_proposal: ModeProposal | None
+
+
+@functools.cache
+def particles(
+    max_particles: int = 1000,
+    min_particles: int | None = None,
+    scheme: Scheme = resampling.systematic,
+    ess_threshold: float = 0.5,
+    regularise: bool = False,
+    mode_proposal: ModeProposal | None = None,
+) -> Target:
+    """Makes a target whose belief is a `clouds.Belief` of weighted particles.
+
+    Args:
+        max_particles: Particles of a track that exists for sure.
+        min_particles: Particles of the least likely track; between, their number goes
+            with the probability that the track exists. By default all have the same.
+        scheme: Of `resampling`.
+        ess_threshold: Share of the particles that the effective sample size must reach
+            or they are resampled; with 1 they are before every motion.
+        regularise: Whether to move resampled particles apart by a Gaussian kernel; for
+            motions with little noise. Biased where a mode's cloud is not Gaussian.
+        mode_proposal: log h [M, M] -> log alpha [M, M], rows on any scale: how modes
+            are drawn, so that rare ones get particles. Finite where log h is. By
+            default alpha is h.
+
+    Raises:
+        ValueError: A size or threshold that makes no sense.
+    """
+    least = max_particles if min_particles is None else min_particles
+    if not 1 <= least <= max_particles:
+        raise ValueError(
+            f"min_particles is {least} and max_particles is {max_particles}; give at "
+            "least 1, and no fewer at most than at least"
+        )
+    if not 0 < ess_threshold <= 1:
+        raise ValueError(
+            f"ess_threshold is {ess_threshold}; give a share above 0 and up to 1"
+        )
+    settings = Settings(
+        max_particles, least, scheme, ess_threshold, regularise, mode_proposal
+    )
+    return Target(
+        begin=functools.partial(_begin, settings),
+        predict=functools.partial(_predict, settings),
+        miss=_miss,
+        look=cloud_views.look,
+        score=cloud_views.score,
+        distance=cloud_views.distance,
+        correct=_correct,
+        collapse=functools.partial(_collapse, settings),
+        absorb=functools.partial(_absorb, settings),
+        blend=_blend,
+        adapt=functools.partial(_adapt, settings),
+        moments=lambda belief: particle.moments(belief.particles),
+        modes=lambda belief: particle.mode_prob(belief.particles, len(belief.root)),
+        lost=lambda belief: jnp.zeros((), belief.state.dtype),
+        effective_size=lambda belief: belief.effective_size,
+    )
+
+
+def _begin(
+    settings: Settings, params: Params, prior: Gaussian, mode_prob: Array, key: Array
+) -> Belief:
+    """Draws states and modes, the modes in strata (equations 18 and 19)."""
+    del params
+    size, dtype = settings.max_particles, prior.mean.dtype
+    following, keys = clouds.split(clouds.numbers(key), 2)
+    filled = jnp.ones(size, bool)
+    mode = resampling.systematic_index(keys[0], safe_log(mode_prob), size, size)
+    noise = jax.random.normal(keys[1], (size, prior.mean.size), dtype)
+    state = prior.mean[None] + cloud_motion.times(linalg.root(prior.cov), noise)
+    dim = prior.mean.size
+    return Belief(
+        log_weight=resampling.even(filled, dtype),
+        state=state,
+        mode=mode,
+        centre=None,
+        root=jnp.zeros((mode_prob.size, dim, dim), dtype),
+        effective_size=jnp.full((), size, dtype),
+        num=jnp.full((), size, jnp.int32),
+        key=following,
+    )
+
+
+def _predict(
+    settings: Settings, params: Params, belief: Belief, interval: Array
+) -> tuple[Belief, Array]:
+    """Equations 15 to 17: survive, resample where needed, switch, move."""
+    following, keys = clouds.split(belief.key, 4)
+    survive = clouds.prob(params.survive, belief, interval)
+    belief, log_survive = clouds.reweighted(belief, safe_log(survive))
+    belief = clouds.renewed(settings.scheme, settings.ess_threshold, belief, keys[0])
+    if settings.regularise:
+        apart = particle.regularise(keys[1], belief.particles, len(params.motions))
+        belief = belief._replace(state=apart.state)
+    belief = cloud_motion.switch(
+        settings.mode_proposal, params, belief, interval, keys[2]
+    )
+    noise = jax.random.normal(keys[3], belief.state.shape, belief.state.dtype)
+    state = cloud_motion.move(params, belief, interval, noise)
+    return belief._replace(state=state, key=following), log_survive
+
+
+def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
+    log_miss = safe_log(1 - clouds.prob(params.detect, belief))
+    missed, log_prob = clouds.reweighted(belief, log_miss)
+    return missed._replace(key=clouds.fold(belief.key, clouds.MISSED)), log_prob
+
+
+def _correct(params: Params, view: View, detection: Array) -> Belief:
+    log_factor = cloud_views.log_factor(params, view, detection)
+    corrected, _ = clouds.reweighted(view.belief, log_factor)
+    return corrected._replace(key=clouds.fold(view.belief.key, detection))
+
+
+def _absorb(
+    settings: Settings, params: Params, log_weight: Array, views: View, detection: Array
+) -> Belief:
+    """Pools the particles of all views; the likeliest view's key goes on."""
+    each = jax.vmap(cloud_views.log_factor, (None, 0, None))(params, views, detection)
+    key = views.belief.key[jnp.argmax(log_weight)]
+    key = clouds.fold(key, detection)
+    return clouds.one_of(settings.scheme, log_weight, views.belief, each, key)
+
+
+def _collapse(settings: Settings, log_weight: Array, beliefs: Belief) -> Belief:
+    key = beliefs.key[jnp.argmax(log_weight)]
+    unchanged = jnp.zeros_like(beliefs.log_weight)
+    return clouds.one_of(settings.scheme, log_weight, beliefs, unchanged, key)
+
+
+def _blend(
+    params: Params,
+    view: View,
+    missed: Belief,
+    log_weight: Array,
+    detections: Array,
+) -> Belief:
+    """Reweights each particle by all that may have been its own."""
+    share = jnp.exp(blending.shares(log_weight))
+
+    def one(detection: Array) -> Array:
+        log_factor = cloud_views.log_factor(params, view, detection)
+        return jnp.exp(particle.reweight(view.belief.log_weight, log_factor)[0])
+
+    each = jax.vmap(one)(detections)
+    weight = share[:-1] @ each + share[-1] * jnp.exp(missed.log_weight)
+    log_new = mixture.log_normalise(safe_log(weight))
+    return missed._replace(
+        log_weight=log_new,
+        effective_size=particle.effective_size(log_new),
+        key=clouds.fold(view.belief.key, clouds.BLENDED),
+    )
+
+
+def _adapt(
+    settings: Settings, params: Params, belief: Belief, existence_prob: Array
+) -> Belief:
+    if settings.min_particles == settings.max_particles:
+        return verbs.unchanged(params, belief, existence_prob)
+    num = jnp.round(existence_prob * settings.max_particles).astype(jnp.int32)
+    num = jnp.clip(num, settings.min_particles, settings.max_particles)
+    return belief._replace(num=num)
