@@ -26,6 +26,7 @@ class Scores(NamedTuple):
         num_true: Targets that exist.
         num_reported: Tracks that were reported.
         num_expected: Sum of the existence probabilities.
+        num_std: Standard deviation of the number, as the tracker knows it.
         log_evidence: Log-density of the scan.
         dropped: Expected number of targets that capacities threw away.
     """
@@ -40,6 +41,7 @@ class Scores(NamedTuple):
     num_true: Array
     num_reported: Array
     num_expected: Array
+    num_std: Array
     log_evidence: Array
     dropped: Array
 
@@ -74,6 +76,7 @@ def score(
         num_true=truth.exists.sum(1),
         num_reported=estimates.exists.sum(1),
         num_expected=estimates.existence_prob.sum(1),
+        num_std=jnp.sqrt(jnp.maximum(estimates.num_var, 0.0)),
         log_evidence=estimates.log_evidence,
         dropped=estimates.dropped,
     )

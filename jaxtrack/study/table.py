@@ -36,6 +36,7 @@ MEANING = {
     "num_true": ("true targets", ""),
     "num_reported": ("reported targets", ""),
     "num_expected": ("expected targets", ""),
+    "num_std": ("standard deviation of the number of targets", ""),
     "log_evidence": ("log-evidence of a scan", ""),
     "dropped": ("expected targets dropped", ""),
     "seconds": ("run time", "s"),

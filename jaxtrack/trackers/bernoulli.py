@@ -60,6 +60,7 @@ class Estimate(NamedTuple):
         mode_prob: [N, M].
         effective_size: How many equally weighted particles each belief is worth; 0
             where it is no sample, [N].
+        num_var: Variance of the number of targets, as far as the tracker knows.
         log_evidence: Log-density of the scan given the past; how exact, the tracker
             says.
         dropped: Expected number of targets, or of the parts of their mixtures, that the
@@ -73,6 +74,7 @@ class Estimate(NamedTuple):
     existence_prob: Array
     mode_prob: Array
     effective_size: Array
+    num_var: Array
     log_evidence: Array
     dropped: Array
 
@@ -289,6 +291,7 @@ def report(
         existence_prob=tracks.existence_prob,
         mode_prob=jax.vmap(target.modes)(tracks.belief),
         effective_size=jax.vmap(target.effective_size)(tracks.belief),
+        num_var=(tracks.existence_prob * (1 - tracks.existence_prob)).sum(),
         log_evidence=log_evidence,
         dropped=dropped,
     )
