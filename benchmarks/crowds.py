@@ -2,7 +2,7 @@
 
 Scans of `crossing-many` around the time when all targets meet: with 2 to 200 targets
 among few false detections, and with 10 targets among more and more. Not in
-`make bench`: compiling all of it takes some ten minutes. It writes
+`make bench`: compiling all of it takes more than ten minutes. It writes
 `results/crowds.json` and `results/crowds.png`.
 """
 
