@@ -16,7 +16,7 @@ from benchmarks import climit, table
 
 ALL = (
     *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "jpda"),
-    *("cores", "start", "study", "growth"),
+    *("phd", "cores", "start", "study", "growth"),
 )
 PACKAGES = (
     *("jax", "jaxlib", "numpy", "scipy"),
