@@ -3,8 +3,10 @@
 Beside the intensity of `phd` it keeps the probabilities of every number of targets, so
 that a scan with too few detections makes targets unlikely everywhere and a certain
 number stays certain. One scan is that of `phd`, where the weights of missed and of
-corrected components depend on how many targets and detections there are in all. The
-targets are reported by count: as many as are likeliest, at the heaviest components.
+corrected components depend on how many targets and detections there are in all. Targets
+are reported by count, at the heaviest components: as many as are likeliest, or as there
+are with more than a given probability. A new target among n old ones is believed later
+than by `phd`, since any of the n + 1 might as well be anywhere.
 
 A missed target loses its weight to the others, wherever they are (the "spooky effect"
 of Franken, Schmidt and Ulmke 2009): the number is right, the place may not be.
@@ -25,20 +27,18 @@ IEEE Trans. Signal Processing 60(4), 2012.
 """
 
 import functools
-import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jaxtrack import cardinality, mixture
+from jaxtrack import cardinality
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
-from jaxtrack.trackers import bernoulli, extraction, intensity, reduction
-from jaxtrack.trackers.intensity import Components, Params, Sighting, Update
+from jaxtrack.trackers import counting, extraction, intensity, reduction
+from jaxtrack.trackers.intensity import Components, Params, Update
 from jaxtrack.types import Array, Scan, Target, Tracker
 
-__all__ = ["Estimate", "Params", "State", "correct", "cphd", "update"]
+__all__ = ["Estimate", "Params", "State", "cphd", "update"]
 
 
 class State(NamedTuple):
@@ -95,6 +95,7 @@ class Settings(NamedTuple):
     size: reduction.Reduction
     max_targets: int
     max_births: int
+    report_threshold: float | None
 
 
 @functools.cache
@@ -106,6 +107,7 @@ def cphd(
     max_updated: int | None = None,
     prune_threshold: float = 1e-5,
     merge_threshold: float = 4.0,
+    report_threshold: float | None = None,
     partition: reduction.Partition = "pairs",
     max_parents: int = 8,
 ) -> Tracker:
@@ -120,6 +122,8 @@ def cphd(
             `max_components`.
         prune_threshold: Components of smaller weight go.
         merge_threshold: Squared Mahalanobis distance within which components merge.
+        report_threshold: As many targets are reported as there are with more than this
+            probability, 0.5 for the median; by default as many as are likeliest.
         partition: "pairs" or "detections", see `phd`.
         max_parents: Components that may share in one, where they merge or where it is
             made of all that a detection corrects.
@@ -138,7 +142,9 @@ def cphd(
     reduction.check_births(max_births)
     if max_targets < 1:
         raise ValueError(f"max_targets is {max_targets}; give at least 1")
-    settings = Settings(target, size, max_targets, max_births)
+    if report_threshold is not None:
+        extraction.check(report_threshold)
+    settings = Settings(target, size, max_targets, max_births, report_threshold)
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
     )
@@ -171,15 +177,17 @@ def _step(
     )
     log_number, excess = cardinality.thin(log_number, survive_prob), 0.0
     if not isinstance(params.birth, DetectionBirth):
-        born = intensity.begin(target, params.target, params.birth, label, birth_key)
-        components, label = intensity.append(components, born), label + born.label.size
+        components, label = intensity.add_births(
+            target, params.target, components, params.birth, label, birth_key
+        )
         log_number, excess = _add(log_number, params.birth)
 
     posterior, log_number = update(target, params, components, log_number, scan)
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
-    picked = extraction.heaviest(components, cardinality.likeliest(log_number))
+    count = _count(log_number, settings.report_threshold)
+    picked = extraction.heaviest(components, count)
     components, shown, label = extraction.tell_apart(components, picked, label)
     num_var = cardinality.variance(log_number)
     estimate = extraction.report(
@@ -189,19 +197,24 @@ def _step(
 
     following = components
     if isinstance(params.birth, DetectionBirth):
-        births, lost = bernoulli.from_unexplained(
-            params.birth,
-            params.target,
-            scan,
-            posterior.unexplained_prob,
-            settings.max_births,
+        births, lost = intensity.propose(
+            params.birth, params.target, posterior, scan, settings.max_births
         )
-        born = intensity.begin(target, params.target, births, label, birth_key)
-        following, label = intensity.append(components, born), label + born.label.size
+        following, label = intensity.add_births(
+            target, params.target, components, births, label, birth_key
+        )
         log_number, excess = _add(log_number, births)
         dropped = dropped + lost
     estimate = estimate._replace(dropped=dropped + excess)
     return State(following, log_number, label, key), estimate
+
+
+def _count(log_number: Array, threshold: float | None) -> Array:
+    """Returns how many targets to report."""
+    if threshold is None:
+        return cardinality.likeliest(log_number)
+    more = 1 - jnp.cumsum(jnp.exp(log_number))[:-1]  # than 0, 1, ..., max_targets - 1
+    return (more > threshold).sum()
 
 
 def _add(
@@ -235,62 +248,4 @@ def update(
         N missed and N x K corrected components as weights, and the new [C].
     """
     sighting = intensity.see(target, params, components, scan)
-    return correct(sighting, log_cardinality, params.clutter.rate)
-
-
-def correct(
-    sighting: Sighting, log_cardinality: Array, clutter_rate: Array
-) -> tuple[Update, Array]:
-    """Weighs what a scan makes of an intensity and a number (Vo 2007, Proposition 5).
-
-    Clutter is Poisson, so its terms are the same for every way to explain the scan and
-    a ratio of each detection's density to clutter's is all that counts.
-    """
-    num_detections = sighting.log_clutter.size
-    log_share = mixture.log_normalise(sighting.log_weight)
-    log_share = jnp.where(sighting.log_weight > -jnp.inf, log_share, -jnp.inf)
-    log_ratio = sighting.log_score - sighting.log_clutter[None]
-    log_claim = log_share[:, None] + log_ratio  # [N, K]
-    log_detected = jax.vmap(mixture.total, 1)(log_claim)  # [K], of any one target
-    log_missed = mixture.total(log_share + sighting.log_miss)
-
-    # log_ways[u][n, j]: of n targets, u are set apart, j detected and the rest missed
-    log_ways = [
-        _log_ways(log_cardinality.size, num_detections, u, log_missed) for u in (0, 1)
-    ]
-    log_sums = cardinality.symmetric(log_detected, log_ways[0].shape[1] - 1)
-    by_number = jax.vmap(mixture.total)(log_ways[0] + log_sums[None])
-    log_joint = log_cardinality + by_number
-    log_evidence = mixture.total(log_joint)
-
-    log_given = [
-        jax.vmap(mixture.total, 1)(log_cardinality[:, None] + ways) for ways in log_ways
-    ]
-    log_apart = mixture.total(log_given[1] + log_sums)
-    # What is left if clutter explains detection k, or the target that is set apart.
-    log_false, log_without = jax.vmap(cardinality.leave_one_out, (None, 0))(
-        log_detected, jnp.stack(log_given)
-    )
-    known = log_evidence > -jnp.inf
-    scale = jnp.where(known, log_evidence, 0.0)
-    update = Update(
-        missed=sighting.missed,
-        views=sighting.views,
-        log_missed=log_share + sighting.log_miss + log_apart - scale,
-        log_hit=log_claim + log_without[None] - scale,
-        unexplained_prob=jnp.exp(jnp.minimum(log_false - scale, 0.0)),
-        log_evidence=log_evidence + sighting.log_clutter.sum() - clutter_rate,
-    )
-    return update, mixture.log_normalise(log_joint)
-
-
-def _log_ways(size: int, most: int, apart: int, log_missed: Array) -> Array:
-    """Returns log n! / (n - j - apart)! q^(n - j - apart), [size, most + 1]."""
-    number = np.arange(size)[:, None]
-    left = number - np.arange(min(most, size - 1) + 1)[None] - apart
-    possible, left = left >= 0, np.maximum(left, 0)
-    log_factorial = np.array([math.lgamma(n + 1) for n in range(size)])
-    ordered = jnp.asarray(log_factorial[number] - log_factorial[left], log_missed.dtype)
-    # Nobody left to be missed is sure even where no miss is possible.
-    power = left * jnp.where(left > 0, log_missed, 0.0)
-    return jnp.where(possible, ordered + power, -jnp.inf)
+    return counting.correct(sighting, log_cardinality, params.clutter.rate)

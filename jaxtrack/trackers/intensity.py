@@ -143,30 +143,52 @@ def predict(
     )
 
 
-def begin(
+def add_births(
     target: Target,
     params: Any,
+    components: Components,
     births: MultiBernoulliBirth | PoissonBirth,
     next_label: Array,
     key: Array,
-) -> Components:
-    """Makes the components of B places where targets are born, each with a new label.
+) -> tuple[Components, Array]:
+    """Appends a component for each of B places where targets are born.
 
     Args:
         target: How one target is filtered.
         params: The target's `Params`.
+        components: N.
         births: B places; their expected numbers are the weights.
-        next_label: The first free label.
+        next_label: The first free label; each newborn has its own.
         key: Random key.
 
     Returns:
-        B components.
+        N + B components, and the next free label.
     """
     if isinstance(births, PoissonBirth):
-        weight = births.rate
-        births = MultiBernoulliBirth(weight, *births[1:])
+        births = MultiBernoulliBirth(births.rate, *births[1:])
     born = bernoulli.begin(target, params, births, next_label, key)
-    return Components(safe_log(born.existence_prob), born.belief, born.label)
+    newborn = Components(safe_log(born.existence_prob), born.belief, born.label)
+    return append(components, newborn), next_label + born.label.size
+
+
+def propose(
+    birth: DetectionBirth, params: Any, update: Update, scan: Scan, max_births: int
+) -> tuple[MultiBernoulliBirth, Array]:
+    """Proposes births where a scan left detections unexplained.
+
+    Args:
+        birth: How likely, and how fast.
+        params: The target's `Params`.
+        update: What the scan explained.
+        scan: K detections.
+        max_births: Places kept, the likeliest.
+
+    Returns:
+        `max_births` places, and the expected number of births that found no room.
+    """
+    return bernoulli.from_unexplained(
+        birth, params, scan, update.unexplained_prob, max_births
+    )
 
 
 def append(components: Components, born: Components) -> Components:

@@ -38,7 +38,7 @@ import jax.numpy as jnp
 
 from jaxtrack import mixture
 from jaxtrack.models.birth import DetectionBirth
-from jaxtrack.trackers import bernoulli, extraction, intensity, reduction
+from jaxtrack.trackers import extraction, intensity, reduction
 from jaxtrack.trackers.bernoulli import Estimate
 from jaxtrack.trackers.intensity import Components, Params, Sighting, Update
 from jaxtrack.types import Array, Scan, Target, Tracker
@@ -132,8 +132,9 @@ def _step(
 
     components, _ = intensity.predict(target, params.target, components, scan.interval)
     if not isinstance(params.birth, DetectionBirth):
-        born = intensity.begin(target, params.target, params.birth, label, birth_key)
-        components, label = intensity.append(components, born), label + born.label.size
+        components, label = intensity.add_births(
+            target, params.target, components, params.birth, label, birth_key
+        )
 
     posterior = update(target, params, components, scan)
     components, dropped = reduction.reduce(
@@ -144,15 +145,12 @@ def _step(
 
     following = components
     if isinstance(params.birth, DetectionBirth):
-        births, lost = bernoulli.from_unexplained(
-            params.birth,
-            params.target,
-            scan,
-            posterior.unexplained_prob,
-            settings.max_births,
+        births, lost = intensity.propose(
+            params.birth, params.target, posterior, scan, settings.max_births
         )
-        born = intensity.begin(target, params.target, births, label, birth_key)
-        following, label = intensity.append(components, born), label + born.label.size
+        following, label = intensity.add_births(
+            target, params.target, components, births, label, birth_key
+        )
         dropped = dropped + lost
     num_var = components.expected  # that of a Poisson number
     estimate = extraction.report(
