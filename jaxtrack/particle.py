@@ -25,7 +25,7 @@ target: Monte Carlo inference for dynamic Bayesian models", J. Royal Statistical
 B 63(1), 2001 (the move).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -170,8 +170,8 @@ def move(
     return jnp.where(accepted[:, None], other, state), accepted
 
 
-def pick(every: Array, mode: Array) -> Array:
-    """Returns for each of L particles the row of its own mode, [M, L, ...] -> [L, ...].
+def pick(every: Sequence[Array] | Array, mode: Array) -> Array:
+    """Returns for each of L particles what its own mode has, M of [L, ...] -> [L, ...].
 
     By comparisons, which XLA on CPU fuses, and not by a gather.
     """

@@ -10,7 +10,7 @@
 Reference: Yuan, Lian and Han 2013, equations 16 and 17, see `targets.particles`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -56,36 +56,42 @@ def switch(
     if proposal is None:
         return belief._replace(mode=entered)
     log_ratio = (log_h - jnp.where(log_alpha > -jnp.inf, log_alpha, 0.0)).T
-    rows = jnp.stack([_of(row, belief.mode) for row in log_ratio])
+    rows = [_of(row, belief.mode) for row in log_ratio]
     log_weight, _ = particle.reweight(belief.log_weight, particle.pick(rows, entered))
     return belief._replace(mode=entered, log_weight=log_weight)
 
 
 def _of(values: Array, mode: Array) -> Array:
     """Returns for each of L particles the value of its mode, of [M]."""
-    every = jnp.broadcast_to(values[:, None], (len(values), len(mode)))
-    return particle.pick(every, mode)
+    return particle.pick([jnp.broadcast_to(x, mode.shape) for x in values], mode)
 
 
-def move(params: Any, belief: Belief, interval: Array, noise: Array) -> Array:
-    """Moves each particle by the motion of its mode.
+def move(params: Any, belief: Belief, interval: Array) -> Array:
+    """Moves each particle by the motion of its mode, without noise.
 
     Args:
         params: A target's `Params`.
         belief: L particles.
         interval: Seconds.
-        noise: Standard normal, [L, D].
 
     Returns:
         The states, [L, D].
     """
 
     def moved(motion: Any) -> Array:
-        root = linalg.root(motion.noise(interval))
-        ahead = jax.vmap(motion.move, (0, None))(belief.state, interval)
-        return ahead + times(root, noise)
+        return jax.vmap(motion.move, (0, None))(belief.state, interval)
 
-    return particle.pick(jnp.stack([moved(x) for x in params.motions]), belief.mode)
+    return particle.pick([moved(x) for x in params.motions], belief.mode)
+
+
+def roots(params: Any, interval: Array) -> list[Any]:
+    """Returns a factor of the covariance of each mode's noise, M of [D, D]."""
+    return [linalg.root(motion.noise(interval)) for motion in params.motions]
+
+
+def push(roots: Sequence[Any], mode: Array, noise: Array) -> Array:
+    """Returns root @ e for each of L vectors e by the root of its mode, [L, D]."""
+    return particle.pick([times(root, noise) for root in roots], mode)
 
 
 def times(root: Any, noise: Array) -> Array:

@@ -54,16 +54,24 @@ def look(params: Any, belief: Belief) -> View:
     return View(belief, log_detect, _expected(params.sensor, params, belief))
 
 
+def measure(sensor: Any, layout: Any, state: Array) -> Array:
+    """Returns the detection expected of a state [D], [Z]."""
+    position = jnp.stack([state[i] for i in layout.position_index])
+    velocity = jnp.stack([state[i] for i in layout.velocity_index])
+    return sensor.measure(position, velocity)
+
+
+def log_density_of(params: Any, state: Array, detection: Array) -> Array:
+    """Returns the log-density of a detection [Z] where a target is at a state [D]."""
+    sensor, plain = untimed(params.sensor, detection)
+    expected = measure(sensor, params.layout, state)
+    lower = linalg.cholesky(sensor.cov())
+    return linalg.log_normal(sensor.residual(plain, expected), lower)
+
+
 def _expected(sensor: Any, params: Any, belief: Belief) -> Array:
     """Returns the detection expected of each particle, [L, Z]."""
-    layout = params.layout
-
-    def one(state: Array) -> Array:
-        position = jnp.stack([state[i] for i in layout.position_index])
-        velocity = jnp.stack([state[i] for i in layout.velocity_index])
-        return sensor.measure(position, velocity)
-
-    return jax.vmap(one)(belief.state)
+    return jax.vmap(lambda x: measure(sensor, params.layout, x))(belief.state)
 
 
 def _log_density(params: Any, view: View, detection: Array) -> Array:
@@ -97,20 +105,19 @@ def distance(params: Any, view: View, detections: Array) -> tuple[Array, Array]:
     Returns:
         Squared Mahalanobis distances [K], and log-determinants of the covariances [K].
     """
-    weight = mixture.normalise(view.belief.log_weight)
+    log_weight = view.belief.log_weight + view.log_detect
+    heaviest = jnp.argmax(log_weight)
 
     def one(detection: Array) -> tuple[Array, Array]:
         sensor, plain = untimed(params.sensor, detection)
         expected = view.expected
         if expected is None:
             expected = _expected(sensor, params, view.belief)
-        heaviest = expected[jnp.argmax(weight)]
-        gap = jax.vmap(sensor.residual, (0, None))(expected, heaviest)
-        cloud = particle.moments(
-            particle.Particles(view.belief.log_weight, gap, view.belief.mode)
-        )
+        centre = expected[heaviest]
+        gap = jax.vmap(sensor.residual, (0, None))(expected, centre)
+        cloud = particle.moments(particle.Particles(log_weight, gap, view.belief.mode))
         lower = linalg.cholesky(cloud.cov + dense(sensor.cov()))
-        white = linalg.solve_lower(lower, sensor.residual(plain, heaviest + cloud.mean))
+        white = linalg.solve_lower(lower, sensor.residual(plain, centre + cloud.mean))
         return (white * white).sum(), 2 * jnp.log(jnp.diagonal(lower)).sum()
 
     return jax.vmap(one)(detections)

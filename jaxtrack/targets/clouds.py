@@ -25,6 +25,7 @@ from jaxtrack.types import Array
 
 MISSED = 1  # what is folded into the key where there is no detection
 BLENDED = 2
+COLLAPSED = 3
 
 
 class Belief(NamedTuple):

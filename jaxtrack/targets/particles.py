@@ -5,9 +5,8 @@ probabilities of survival and detection that depend on the state. With one mode 
 the bootstrap filter.
 
 A belief is resampled at the start of a prediction, where it needs to be, and where
-several beliefs become one; what a scan teaches only changes weights. So a miss, a
-correction and a blend are exact for the particles there are, and estimates are taken
-before anything is drawn.
+several become one; what a scan teaches only changes weights, exactly, and estimates are
+taken before anything is drawn.
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack import models
@@ -35,15 +34,26 @@ expected sum is known to be one, and a probability to survive stays one.
 """
 
 import functools
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg, mixture, particle, resampling
+from jaxtrack.entries import dense
 from jaxtrack.linalg import safe_log
+from jaxtrack.linearize import Method
 from jaxtrack.resampling import Scheme
-from jaxtrack.targets import blending, cloud_motion, cloud_views, clouds, verbs
+from jaxtrack.targets import (
+    blending,
+    cloud_motion,
+    cloud_moves,
+    cloud_proposals,
+    cloud_views,
+    clouds,
+    verbs,
+)
 from jaxtrack.targets.cloud_motion import ModeProposal
 from jaxtrack.targets.cloud_views import View
 from jaxtrack.targets.clouds import Belief
@@ -61,6 +71,8 @@ class Settings(NamedTuple):
     scheme: Scheme
     ess_threshold: float
     regularise: bool
+    num_moves: int
+    proposal: Method | None
     mode_proposal: ModeProposal | None
 
 
@@ -71,6 +83,8 @@ def particles(
     scheme: Scheme = resampling.systematic,
     ess_threshold: float = 0.5,
     regularise: bool = False,
+    num_moves: int = 0,
+    proposal: Method | None = None,
     mode_proposal: ModeProposal | None = None,
 ) -> Target:
     """Makes a target whose belief is a `clouds.Belief` of weighted particles.
@@ -84,6 +98,11 @@ def particles(
             or they are resampled; with 1 they are before every motion.
         regularise: Whether to move resampled particles apart by a Gaussian kernel; for
             motions with little noise. Biased where a mode's cloud is not Gaussian.
+        num_moves: Metropolis-Hastings moves of each particle after a detection, over
+            the last motion; see `cloud_moves`. Then particles are resampled first.
+        proposal: `linearize.taylor`, `unscented` or `cubature`: particles are drawn
+            given the detection, by an extended, unscented or cubature Kalman filter
+            each; see `cloud_proposals`. By default they are drawn from the motion.
         mode_proposal: log h [M, M] -> log alpha [M, M], rows on any scale: how modes
             are drawn, so that rare ones get particles. Finite where log h is. By
             default alpha is h.
@@ -101,10 +120,20 @@ def particles(
         raise ValueError(
             f"ess_threshold is {ess_threshold}; give a share above 0 and up to 1"
         )
+    if num_moves < 0 or (num_moves > 0 and proposal is not None):
+        raise ValueError(
+            f"num_moves is {num_moves}; give 0 or more, and 0 where a proposal is given"
+        )
     settings = Settings(
-        max_particles, least, scheme, ess_threshold, regularise, mode_proposal
+        *(max_particles, least, scheme, ess_threshold),
+        *(regularise, num_moves, proposal, mode_proposal),
     )
-    return Target(
+    return _made(settings)
+
+
+def _made(settings: Settings) -> Target:
+    collapse = functools.partial(_collapse, settings)
+    plain = Target(
         begin=functools.partial(_begin, settings),
         predict=functools.partial(_predict, settings),
         miss=_miss,
@@ -112,7 +141,7 @@ def particles(
         score=cloud_views.score,
         distance=cloud_views.distance,
         correct=_correct,
-        collapse=functools.partial(_collapse, settings),
+        collapse=collapse,
         absorb=functools.partial(_absorb, settings),
         blend=_blend,
         adapt=functools.partial(_adapt, settings),
@@ -121,6 +150,26 @@ def particles(
         lost=lambda belief: jnp.zeros((), belief.state.dtype),
         effective_size=lambda belief: belief.effective_size,
     )
+    if settings.num_moves:
+        how = settings.num_moves, settings.scheme, settings.ess_threshold
+        correct = functools.partial(cloud_moves.correct, _correct, *how)
+        return plain._replace(
+            correct=correct,
+            absorb=verbs.absorb(correct, collapse),
+            blend=functools.partial(cloud_moves.blend, _blend, *how),
+        )
+    if settings.proposal is not None:
+        correct = functools.partial(cloud_proposals.correct, settings.proposal)
+        return plain._replace(
+            look=functools.partial(cloud_proposals.look, settings.proposal),
+            score=functools.partial(cloud_proposals.score, settings.proposal),
+            distance=functools.partial(cloud_proposals.distance, settings.proposal),
+            correct=correct,
+            absorb=verbs.absorb(correct, collapse),
+            blend=functools.partial(cloud_proposals.blend, settings.proposal),
+            moments=cloud_proposals.moments,
+        )
+    return plain
 
 
 def _begin(
@@ -132,38 +181,54 @@ def _begin(
     following, keys = clouds.split(clouds.numbers(key), 2)
     filled = jnp.ones(size, bool)
     mode = resampling.systematic_index(keys[0], safe_log(mode_prob), size, size)
-    noise = jax.random.normal(keys[1], (size, prior.mean.size), dtype)
-    state = prior.mean[None] + cloud_motion.times(linalg.root(prior.cov), noise)
-    dim = prior.mean.size
-    return Belief(
+    centre = jnp.broadcast_to(prior.mean, (size, prior.mean.size))
+    root = dense(linalg.root(prior.cov))
+    belief = Belief(
         log_weight=resampling.even(filled, dtype),
-        state=state,
+        state=centre,
         mode=mode,
-        centre=None,
-        root=jnp.zeros((mode_prob.size, dim, dim), dtype),
+        centre=centre if settings.num_moves else None,
+        root=jnp.broadcast_to(root, (mode_prob.size, *root.shape)),
         effective_size=jnp.full((), size, dtype),
         num=jnp.full((), size, jnp.int32),
         key=following,
     )
+    return _drawn(settings, belief, [root] * mode_prob.size, keys[1])
+
+
+def _drawn(
+    settings: Settings, belief: Belief, roots: Sequence[Any], key: Array
+) -> Belief:
+    """Draws the noise of the last motion now, or keeps its factors for later."""
+    root = jnp.stack([dense(x) for x in roots]).astype(belief.root.dtype)
+    if settings.proposal is not None:
+        return belief._replace(root=root)
+    noise = jax.random.normal(key, belief.state.shape, belief.state.dtype)
+    state = belief.state + cloud_motion.push(roots, belief.mode, noise)
+    if settings.num_moves:
+        return belief._replace(state=state, centre=belief.state, root=root)
+    return belief._replace(state=state, root=jnp.zeros_like(root))
 
 
 def _predict(
     settings: Settings, params: Params, belief: Belief, interval: Array
 ) -> tuple[Belief, Array]:
     """Equations 15 to 17: survive, resample where needed, switch, move."""
-    following, keys = clouds.split(belief.key, 4)
+    following, keys = clouds.split(belief.key, 5)
     survive = clouds.prob(params.survive, belief, interval)
     belief, log_survive = clouds.reweighted(belief, safe_log(survive))
     belief = clouds.renewed(settings.scheme, settings.ess_threshold, belief, keys[0])
+    if settings.proposal is not None:
+        belief = cloud_proposals.settle(keys[4], belief)
     if settings.regularise:
         apart = particle.regularise(keys[1], belief.particles, len(params.motions))
         belief = belief._replace(state=apart.state)
     belief = cloud_motion.switch(
         settings.mode_proposal, params, belief, interval, keys[2]
     )
-    noise = jax.random.normal(keys[3], belief.state.shape, belief.state.dtype)
-    state = cloud_motion.move(params, belief, interval, noise)
-    return belief._replace(state=state, key=following), log_survive
+    belief = belief._replace(state=cloud_motion.move(params, belief, interval))
+    belief = _drawn(settings, belief, cloud_motion.roots(params, interval), keys[3])
+    return belief._replace(key=following), log_survive
 
 
 def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
@@ -189,7 +254,9 @@ def _absorb(
 
 
 def _collapse(settings: Settings, log_weight: Array, beliefs: Belief) -> Belief:
-    key = beliefs.key[jnp.argmax(log_weight)]
+    key = clouds.fold(beliefs.key[jnp.argmax(log_weight)], clouds.COLLAPSED)
+    if settings.proposal is not None:
+        beliefs = jax.vmap(_settled)(beliefs)
     unchanged = jnp.zeros_like(beliefs.log_weight)
     return clouds.one_of(settings.scheme, log_weight, beliefs, unchanged, key)
 
@@ -221,8 +288,14 @@ def _blend(
 def _adapt(
     settings: Settings, params: Params, belief: Belief, existence_prob: Array
 ) -> Belief:
+    del params
     if settings.min_particles == settings.max_particles:
-        return verbs.unchanged(params, belief, existence_prob)
+        return belief
     num = jnp.round(existence_prob * settings.max_particles).astype(jnp.int32)
     num = jnp.clip(num, settings.min_particles, settings.max_particles)
     return belief._replace(num=num)
+
+
+def _settled(belief: Belief) -> Belief:
+    key = clouds.split(clouds.fold(belief.key, clouds.COLLAPSED), 2)[1][1]
+    return cloud_proposals.settle(key, belief)
