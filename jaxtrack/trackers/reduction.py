@@ -211,8 +211,10 @@ def merge(
     log_total = jax.vmap(mixture.total)(log_weight)
     order = jnp.argsort(-log_total)
     heaviest, slot = jax.lax.top_k(log_weight[order], min(size.max_parents, num))
+    # Not slot[:, 0]: XLA on CPU sorts in full if the best k are not used whole.
+    first = jnp.argmax(log_weight[order], 1)
     some = jax.tree.map(lambda x: x[slot], components.belief)
     belief = jax.vmap(target.collapse)(heaviest, some)
     lost = components.expected - jnp.exp(log_total).sum()
-    kept = Components(log_total[order], belief, components.label[slot[:, 0]])
+    kept = Components(log_total[order], belief, components.label[first])
     return kept, jnp.maximum(lost, 0.0)
