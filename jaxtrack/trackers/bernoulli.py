@@ -190,7 +190,8 @@ def absorb(
     known = everyone > -jnp.inf
     lost = 1 - jnp.exp(mixture.total(heaviest) - jnp.where(known, everyone, 0.0))
     lost = jnp.where(known, lost + (1 - lost) * target.lost(belief), 0.0)
-    return belief, parents[0], lost
+    # Not parents[0]: XLA on CPU sorts in full if the best k are not used whole.
+    return belief, jnp.argmax(log_weight), lost
 
 
 def from_unexplained(
