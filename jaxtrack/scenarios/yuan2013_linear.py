@@ -13,7 +13,8 @@ track becomes `max_components` a mode.
 
     >>> from jaxtrack.scenarios import yuan2013_linear
     >>> sorted(yuan2013_linear.make().trackers)
-    ['gm-ct-cbmember', 'gm-cv-cbmember', 'gm-mm-cbmember', 'imm-mm-cbmember']
+    ['gm-ct-cbmember', 'gm-cv-cbmember', 'gm-mm-cbmember', 'gm-mm-cphd', 'gm-mm-phd', \
+'imm-mm-cbmember', 'imm-mm-cphd', 'imm-mm-phd']
 
 Reference: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget multi-
 Bernoulli filter for tracking maneuvering targets", 2013, Table 3 for the OSPA.
@@ -43,7 +44,13 @@ STAY_PROB = 0.6
 SENSOR_STD = 8.0  # metres
 ENOUGH = {"max_parents": 5, "max_updated": 8}  # more would lose less than 1e-4 targets
 
+# An intensity of mixtures: one component for each likely detection, with few parents.
+MIXTURES = {"max_components": 10, "max_updated": 8, "max_parents": 3}
+BANKS = {"max_components": 30}
+
 PUBLISHED = {
+    "gm-mm-phd": {20: 22.8, 40: 28.2, 60: 34.5, 80: 40.9, 100: 47.1},
+    "gm-mm-cphd": {20: 20.0, 40: 24.8, 60: 30.3, 80: 36.1, 100: 41.9},
     "gm-mm-cbmember": {20: 22.6, 40: 27.7, 60: 34.1, 80: 40.6, 100: 46.7},
 }
 
@@ -88,16 +95,20 @@ def make(
     tracker = functools.partial(
         cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
     )
-    gaussians = tracker(mixture.mixture(max_components), **ENOUGH)
-    bank = tracker(imm.imm(), **ENOUGH)
+    several, bank = mixture.mixture(max_components), imm.imm()
+    gaussians, all_modes = tracker(several, **ENOUGH), params(*TURN_RATES)
+    mixtures = yuan2013.intense(several, all_modes, partition="detections", **MIXTURES)
+    banks = yuan2013.intense(bank, all_modes, **BANKS)
     truth = yuan2013.truth()
     return Scenario(
         name="yuan2013-linear",
         summary="four maneuvering targets, position sensor (Yuan 2013, section 6.2)",
         world=World(truth, motion(0.0), sensor, detect, clutter),
         trackers={
-            "gm-mm-cbmember": (gaussians, params(*TURN_RATES)),
-            "imm-mm-cbmember": (bank, params(*TURN_RATES)),
+            "gm-mm-cbmember": (gaussians, all_modes),
+            "imm-mm-cbmember": (tracker(bank, **ENOUGH), all_modes),
+            **{f"gm-mm-{name}": rival for name, rival in mixtures.items()},
+            **{f"imm-mm-{name}": rival for name, rival in banks.items()},
             "gm-cv-cbmember": (gaussians, params(0.0)),
             "gm-ct-cbmember": (gaussians, params(math.pi / 20)),
         },

@@ -37,7 +37,7 @@ from jaxtrack.models.switching import MarkovSwitching
 from jaxtrack.models.turn import CoordinatedTurn, ForgottenTurn, TurnRate
 from jaxtrack.scenarios import yuan2013
 from jaxtrack.scenarios.world import Scenario, World, slots_for
-from jaxtrack.targets import imm, mixture
+from jaxtrack.targets import imm, mixture, particles
 from jaxtrack.trackers import cbmember
 
 STRAIGHT_STD, TURNING_STD = 0.1, 0.2  # m/s^2
@@ -46,8 +46,14 @@ TURN_SPREAD = 0.1  # rad/s, of a newborn
 STAY_PROB = 0.8
 SENSOR_STD = (10.0, 0.01)  # metres, rad
 
-# The paper's particle filter, which the mixtures approximate.
+# Particles a track, as in the paper; fewer for a track that is not sure.
+ENOUGH = {"max_parents": 5, "max_updated": 8}
+MAX_PARTICLES, MIN_PARTICLES = 1000, 300
+CLOUDS = {"max_components": 10, "max_updated": 8, "max_parents": 3}
+
 PUBLISHED = {
+    "smc-mm-phd": {20: 38.3, 40: 48.2, 60: 60.5, 80: 74.3, 100: 88.1},
+    "smc-mm-cphd": {20: 32.8, 40: 35.9, 60: 39.4, 80: 43.4, 100: 47.8},
     "smc-mm-cbmember": {20: 25.6, 40: 31.3, 60: 37.4, 80: 43.2, 100: 48.9},
 }
 
@@ -91,9 +97,17 @@ def make(
     tracker = functools.partial(
         cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
     )
-    gaussians = tracker(mixture.mixture(max_components))
+    several = mixture.mixture(max_components)
     sigma_points = mixture.mixture(max_components, method=linearize.unscented)
-    both = params(straight(), turning())
+    cloud = particles.particles(MAX_PARTICLES, MIN_PARTICLES)
+    gaussians, samples = tracker(several), tracker(cloud, **ENOUGH)
+    both, line, turn = (
+        params(straight(), turning()),
+        params(straight()),
+        params(turning()),
+    )
+    mixtures = yuan2013.intense(several, both, partition="detections", **CLOUDS)
+    clouds = yuan2013.intense(cloud, both, partition="detections", **CLOUDS)
     truth = yuan2013.truth()
     return Scenario(
         name="yuan2013-range-bearing",
@@ -103,8 +117,13 @@ def make(
             "gm-mm-cbmember": (gaussians, both),
             "uk-mm-cbmember": (tracker(sigma_points), both),
             "imm-mm-cbmember": (tracker(imm.imm()), both),
-            "gm-cv-cbmember": (gaussians, params(straight())),
-            "gm-ct-cbmember": (gaussians, params(turning())),
+            "gm-cv-cbmember": (gaussians, line),
+            "gm-ct-cbmember": (gaussians, turn),
+            "smc-mm-cbmember": (samples, both),
+            "smc-cv-cbmember": (samples, line),
+            "smc-ct-cbmember": (samples, turn),
+            **{f"gm-mm-{name}": rival for name, rival in mixtures.items()},
+            **{f"smc-mm-{name}": rival for name, rival in clouds.items()},
         },
         max_detections=slots_for(truth.exists.shape[1], clutter_rate),
         cutoff=100.0,
