@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import intensities as cases
@@ -10,7 +11,7 @@ from cases import intensity_runs as runs
 from cases import intensity_slopes as slopes
 from reference import cphd as book
 
-from jaxtrack.trackers import cphd, phd
+from jaxtrack.trackers import counting, cphd, intensity, phd
 
 
 @pytest.mark.parametrize("name", cases.TARGETS)
@@ -120,6 +121,39 @@ def test_scans_in_a_row_are_the_plain_filters(name):
         # Absolute: numbers that are less likely than rounding.
         np.testing.assert_allclose(np.exp(found.log_cardinality[t]), p, atol=1e-12)
         assert found.dropped[t] < 1e-9
+
+
+@pytest.mark.parametrize("log_clutter", [-8.2, -200.0])
+def test_float32_bears_three_hundred_detections(log_clutter):
+    """Ratios to the clutter from e^-1800 to e^200; with clutter, and without any."""
+    rng = np.random.default_rng(11)
+    score = -(rng.uniform(0, 60, (30, 300)) ** 2) / 2
+    score[np.arange(20), np.arange(20)] = -1.5
+    if log_clutter < -100:
+        score[:, 25:] = -np.inf
+    clutter = np.where(np.isfinite(score).any(0), log_clutter, 0.0)
+    sighting = intensity.Sighting(
+        None, None, np.log(rng.uniform(0.1, 1, 30)), np.full(30, -2.3), score, clutter
+    )
+    log_number = -(((np.arange(33) - 22) / 4) ** 2) / 2
+    found = []
+    for kind in ("float64", "float32"):
+        with jax.enable_x64(kind == "float64"):
+            given = jax.tree.map(
+                lambda x, kind=kind: jnp.asarray(x, kind), (sighting, log_number, 270.0)
+            )
+            found.append(jax.tree.map(np.array, jax.jit(counting.correct)(*given)))
+    (right, number), (rough, rough_number) = found
+    assert rough.log_hit.dtype == np.float32
+    assert np.exp(right.log_hit).sum() > 15
+    for exact, near in (
+        (right.log_missed, rough.log_missed),
+        (right.log_hit, rough.log_hit),
+        (number, rough_number),
+    ):
+        # Absolute: of probabilities and of numbers of targets.
+        np.testing.assert_allclose(np.exp(near), np.exp(exact), atol=2e-3)
+    np.testing.assert_allclose(rough.log_evidence, right.log_evidence, rtol=1e-5)
 
 
 @functools.cache
