@@ -5,6 +5,13 @@
 True
 """
 
-from jaxtrack.targets import imm, likely_modes, mixture, particles, single
+from jaxtrack.targets import (
+    imm,
+    likely_modes,
+    mixture,
+    particles,
+    rao_blackwell,
+    single,
+)
 
-__all__ = ["imm", "likely_modes", "mixture", "particles", "single"]
+__all__ = ["imm", "likely_modes", "mixture", "particles", "rao_blackwell", "single"]

@@ -46,7 +46,7 @@ def switch(
     log_alpha = log_h
     if proposal is not None:
         log_alpha = jax.nn.log_softmax(proposal(log_h), axis=1)
-    level = jax.random.uniform(key, belief.mode.shape, belief.state.dtype)
+    level = jax.random.uniform(key, belief.mode.shape, belief.log_weight.dtype)
     edge = jnp.cumsum(jnp.exp(log_alpha), axis=1)
     edge = edge / edge[:, -1:]
     # The first mode whose edge lies beyond: one of no probability is never entered.

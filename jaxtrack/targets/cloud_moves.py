@@ -49,7 +49,7 @@ def moved(
     """
     following, keys = clouds.split(belief.key, num_moves + 1)
     belief = clouds.renewed(scheme, threshold, belief, keys[0])
-    centre = belief.state if belief.centre is None else belief.centre
+    centre = belief.state if belief.carried is None else belief.carried
     shape, dtype = belief.state.shape, belief.state.dtype
 
     def propose(key: Array) -> Array:

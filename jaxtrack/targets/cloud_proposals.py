@@ -183,9 +183,8 @@ def blend(
     each, _ = jax.vmap(particle.reweight, (None, 0))(view.belief.log_weight, log_factor)
     each = jnp.concatenate([each, missed.log_weight[None]])
     each = blending.shares(log_weight)[:, None] + each
-    choice = jnp.argmax(each + _gumbel(keys[0], detections, each), axis=0)
+    choice, own = clouds.choose(keys[0], detections, each, view.belief.key)
     none, last = choice == len(detections), len(detections) - 1
-    own = jnp.take(detections, jnp.minimum(choice, last), axis=0)
 
     noise = _noise(keys[1], missed)
     lines = _own_lines(method, params, view, own)
@@ -223,18 +222,6 @@ def _pushed(belief: Belief, noise: Array) -> Array:
 
 def _noise(key: Array, belief: Belief) -> Array:
     return jax.random.normal(key, belief.state.shape, belief.state.dtype)
-
-
-def _gumbel(key: Array, detections: Array, like: Array) -> Array:
-    """Returns Gumbel noise for each detection, by its own digits, and for none."""
-    numbers = jax.random.key_data(key)
-
-    def one(detection: Array) -> Array:
-        own, keys = clouds.split(clouds.fold(numbers, detection), 1)
-        return jax.random.gumbel(keys[0], like.shape[1:], like.dtype)
-
-    none = jax.random.gumbel(key, like.shape[1:], like.dtype)
-    return jnp.concatenate([jax.vmap(one)(detections), none[None]])
 
 
 def _lines(method: Method, sensor: Any, params: Any, view: View) -> Line:

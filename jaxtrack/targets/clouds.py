@@ -35,8 +35,8 @@ class Belief(NamedTuple):
         log_weight: -inf marks an empty slot, [L].
         state: [L, D].
         mode: [L] (int).
-        centre: Where the last motion led before its noise was drawn, or None where
-            nobody asks, [L, D].
+        carried: What goes along with each particle, or None: the state before the last
+            noise (`cloud_moves`), the covariance (`rao_blackwell`), [L, E].
         root: Factor of that noise's covariance in each mode, [M, D, D]; zero where it
             is of no use any more.
         effective_size: How many equally weighted particles these are worth, or those
@@ -48,7 +48,7 @@ class Belief(NamedTuple):
     log_weight: Array
     state: Array
     mode: Array
-    centre: Array | None
+    carried: Any
     root: Array
     effective_size: Array
     num: Array
@@ -58,6 +58,14 @@ class Belief(NamedTuple):
     def particles(self) -> Particles:
         """Returns weights, states and modes."""
         return Particles(self.log_weight, self.state, self.mode)
+
+
+def check(ess_threshold: float) -> None:
+    """Raises a ValueError for a threshold of the effective size that is no share."""
+    if not 0 < ess_threshold <= 1:
+        raise ValueError(
+            f"ess_threshold is {ess_threshold}; give a share above 0 and up to 1"
+        )
 
 
 def numbers(key: Array) -> Array:
@@ -150,10 +158,10 @@ def renewed(scheme: Scheme, threshold: float, belief: Belief, key: Array) -> Bel
 
 
 def _wide(belief: Belief) -> Array:
-    """Returns the states, the centres beside them, [..., D or 2 D]."""
-    if belief.centre is None:
+    """Returns the states, and what goes along beside them, [..., D + E]."""
+    if belief.carried is None:
         return belief.state
-    return jnp.concatenate([belief.state, belief.centre], axis=-1)
+    return jnp.concatenate([belief.state, belief.carried], axis=-1)
 
 
 def _narrow(belief: Belief, drawn: Particles) -> Belief:
@@ -163,12 +171,42 @@ def _narrow(belief: Belief, drawn: Particles) -> Belief:
         log_weight=drawn.log_weight,
         state=drawn.state[:, :dim],
         mode=drawn.mode,
-        centre=None if belief.centre is None else drawn.state[:, dim:],
+        carried=None if belief.carried is None else drawn.state[:, dim:],
     )
 
 
 def _flat(many: Array) -> Array:
     return many.reshape(-1, *many.shape[2:])
+
+
+def choose(
+    key: Array, detections: Array, log_weight: Array, numbers: Array
+) -> tuple[Array, Array]:
+    """Draws for each particle which of K detections was its own, or none.
+
+    The choice is the largest of log-weights with Gumbel noise of each detection's own,
+    so that it depends neither on their order nor on padding.
+
+    Args:
+        key: Random key, for none.
+        detections: [K, Z].
+        log_weight: Of each detection and, last, of none, for each particle, [K + 1, L].
+        numbers: Those of a key, for the detections, [2].
+
+    Returns:
+        Which one, [L] (int), K for none; and that detection, any for none, [L, Z].
+    """
+    shape, dtype = log_weight.shape[1:], log_weight.dtype
+
+    def one(detection: Array) -> Array:
+        _, keys = split(fold(numbers, detection), 1)
+        return jax.random.gumbel(keys[0], shape, dtype)
+
+    none = jax.random.gumbel(key, shape, dtype)
+    noise = jnp.concatenate([jax.vmap(one)(detections), none[None]])
+    choice = jnp.argmax(log_weight + noise, axis=0)
+    own = jnp.take(detections, jnp.minimum(choice, len(detections) - 1), axis=0)
+    return choice, own
 
 
 def prob(model: Any, belief: Belief, interval: Array | float = 0.0) -> Array:

@@ -116,10 +116,7 @@ def particles(
             f"min_particles is {least} and max_particles is {max_particles}; give at "
             "least 1, and no fewer at most than at least"
         )
-    if not 0 < ess_threshold <= 1:
-        raise ValueError(
-            f"ess_threshold is {ess_threshold}; give a share above 0 and up to 1"
-        )
+    clouds.check(ess_threshold)
     if num_moves < 0 or (num_moves > 0 and proposal is not None):
         raise ValueError(
             f"num_moves is {num_moves}; give 0 or more, and 0 where a proposal is given"
@@ -179,15 +176,14 @@ def _begin(
     del params
     size, dtype = settings.max_particles, prior.mean.dtype
     following, keys = clouds.split(clouds.numbers(key), 2)
-    filled = jnp.ones(size, bool)
     mode = resampling.systematic_index(keys[0], safe_log(mode_prob), size, size)
     centre = jnp.broadcast_to(prior.mean, (size, prior.mean.size))
     root = dense(linalg.root(prior.cov))
     belief = Belief(
-        log_weight=resampling.even(filled, dtype),
+        log_weight=resampling.even(jnp.ones(size, bool), dtype),
         state=centre,
         mode=mode,
-        centre=centre if settings.num_moves else None,
+        carried=centre if settings.num_moves else None,
         root=jnp.broadcast_to(root, (mode_prob.size, *root.shape)),
         effective_size=jnp.full((), size, dtype),
         num=jnp.full((), size, jnp.int32),
@@ -206,7 +202,7 @@ def _drawn(
     noise = jax.random.normal(key, belief.state.shape, belief.state.dtype)
     state = belief.state + cloud_motion.push(roots, belief.mode, noise)
     if settings.num_moves:
-        return belief._replace(state=state, centre=belief.state, root=root)
+        return belief._replace(state=state, carried=belief.state, root=root)
     return belief._replace(state=state, root=jnp.zeros_like(root))
 
 
