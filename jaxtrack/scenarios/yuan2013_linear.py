@@ -22,6 +22,8 @@ Bernoulli filter for tracking maneuvering targets", 2013, Table 3 for the OSPA.
 
 import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -36,7 +38,7 @@ from jaxtrack.scenarios import yuan2013
 from jaxtrack.scenarios.world import Scenario, World, slots_for
 from jaxtrack.targets import imm, mixture
 from jaxtrack.trackers import cbmember
-from jaxtrack.types import Array
+from jaxtrack.types import Array, Target, Tracker
 
 TURN_RATES = (0.0, math.pi / 30, -math.pi / 30, math.pi / 20, math.pi / 15)
 STRAIGHT_STD, TURNING_STD = 0.1, 0.2  # m/s^2
@@ -92,31 +94,38 @@ def make(
         )
         return cbmember.Params(target, births(len(turn_rates)), clutter)
 
-    tracker = functools.partial(
-        cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
-    )
-    several, bank = mixture.mixture(max_components), imm.imm()
-    gaussians, all_modes = tracker(several, **ENOUGH), params(*TURN_RATES)
-    mixtures = yuan2013.intense(several, all_modes, partition="detections", **MIXTURES)
-    banks = yuan2013.intense(bank, all_modes, **BANKS)
     truth = yuan2013.truth()
+    size = {"max_tracks": max_tracks, "merge_threshold": merge_threshold}
+    tracker = functools.partial(cbmember.cbmember, **size, **ENOUGH)
     return Scenario(
         name="yuan2013-linear",
         summary="four maneuvering targets, position sensor (Yuan 2013, section 6.2)",
         world=World(truth, motion(0.0), sensor, detect, clutter),
-        trackers={
-            "gm-mm-cbmember": (gaussians, all_modes),
-            "imm-mm-cbmember": (tracker(bank, **ENOUGH), all_modes),
-            **{f"gm-mm-{name}": rival for name, rival in mixtures.items()},
-            **{f"imm-mm-{name}": rival for name, rival in banks.items()},
-            "gm-cv-cbmember": (gaussians, params(0.0)),
-            "gm-ct-cbmember": (gaussians, params(math.pi / 20)),
-        },
+        trackers=_trackers(tracker, params, mixture.mixture(max_components)),
         max_detections=slots_for(truth.exists.shape[1], clutter_rate),
         cutoff=100.0,
         order=2.0,
         published=PUBLISHED,
     )
+
+
+def _trackers(
+    tracker: Callable[[Target], Tracker],
+    params: Callable[..., cbmember.Params],
+    several: Target,
+) -> dict[str, tuple[Tracker, Any]]:
+    """Makes the paper's trackers, on mixtures, and those with one Gaussian a mode."""
+    bank, all_modes = imm.imm(), params(*TURN_RATES)
+    mixtures = yuan2013.intense(several, all_modes, partition="detections", **MIXTURES)
+    banks = yuan2013.intense(bank, all_modes, **BANKS)
+    return {
+        "gm-mm-cbmember": (tracker(several), all_modes),
+        "imm-mm-cbmember": (tracker(bank), all_modes),
+        **{f"gm-mm-{name}": rival for name, rival in mixtures.items()},
+        **{f"imm-mm-{name}": rival for name, rival in banks.items()},
+        "gm-cv-cbmember": (tracker(several), params(0.0)),
+        "gm-ct-cbmember": (tracker(several), params(math.pi / 20)),
+    }
 
 
 def motion(turn_rate: float) -> PiecewiseAcceleration:
