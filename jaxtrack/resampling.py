@@ -8,6 +8,8 @@ Sizes are static, `num` may be traced.
     stratified     a uniform number for each stratum
     residual       the whole parts of num * weight, the rest multinomial
     multinomial    independent draws; the reference for the others
+    soft()         from a mixture with equal weights; the new weights make up for it,
+                   and have derivatives
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack import resampling
@@ -18,6 +20,26 @@ Sizes are static, `num` may be traced.
     >>> print(new.state[:, 0], jnp.exp(new.log_weight))
     [1. 1. 1. 2.] [0.25 0.25 0.25 0.25]
 
+Derivatives. The first four pass none to the old weights, so that the derivative of a
+log-likelihood is biased. Measured against the Kalman filter's, over 400 runs of 100
+particles, 15 scans, resampled before each motion (a target with white acceleration;
+derivatives in the logs of noise density and sensor noise, -0.85 and -9.65; standard
+errors of the bias below 0.16):
+
+    scheme            bias of either      std of either
+    systematic        -1.07   +4.41       1.6    0.5
+    stratified        -1.05   +4.46       1.8    0.5
+    residual          -1.00   +4.47       1.8    0.6
+    multinomial       -1.16   +4.53       2.1    0.6
+    soft(1)           -0.04   +0.11       1.8    0.7
+    soft(0.5)         -0.01   +0.09       2.1    0.7
+    soft(0.1)         +0.06   +0.37       3.1    1.1
+    transport(0.1)    -0.15   +0.21       1.3    2.2
+    transport(0.5)    +0.14   -0.41       0.8    0.9
+
+The last two are of `jaxtrack.transport`, and bias the value, too: by +0.25 and +0.97;
+the others by -0.08 to -0.20 (the log of what is unbiased).
+
 An index is found in O(P + size): each particle's share of the strata ends somewhere,
 and the ends, counted and summed up, say which particle holds a stratum.
 
@@ -27,6 +49,8 @@ space models", J. Computational and Graphical Statistics 5(1), 1996; Liu and Che
 Association 93, 1998 (residual).
 """
 
+import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -69,6 +93,42 @@ def residual(key: Array, particles: Particles, size: int, num: Any) -> Particles
 def multinomial(key: Array, particles: Particles, size: int, num: Any) -> Particles:
     """Draws each particle on its own; see `systematic`."""
     return _gather(multinomial_index, key, particles, size, num)
+
+
+@functools.cache
+def soft(share: float = 0.5) -> Scheme:
+    """Makes a scheme whose new weights have the derivatives of the old.
+
+    Particles are drawn, systematically, with weight q = share w + (1 - share) / P, and
+    then weigh w / q. What is drawn is held fixed, and so is q, unlike in the form of
+    Karkus, Hsu and Lee 2018: derivatives then count how the draw itself would change
+    (the score; Scibior and Wood 2021).
+
+    Args:
+        share: Of the old weights in the mixture. With 1 values are those of
+            `systematic`; with less, more unlikely particles live on.
+
+    Raises:
+        ValueError: Not a share.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"share is {share}; give one above 0 and up to 1, e.g. 0.5")
+    log_other = math.log1p(-share) if share < 1 else -math.inf
+
+    def resample(key: Array, particles: Particles, size: int, num: Any) -> Particles:
+        log_weight = mixture.log_normalise(particles.log_weight)
+        fixed = jax.lax.stop_gradient(log_weight)
+        equal = even(fixed > -jnp.inf, fixed.dtype) + log_other
+        log_draw = jnp.logaddexp(fixed + math.log(share), equal)
+        index = systematic_index(key, log_draw, size, num)
+        there = (jnp.arange(size) < num) & (fixed[index] > -jnp.inf)
+        ratio = log_weight[index] - jnp.where(there, log_draw[index], 0.0)
+        log_new = jnp.where(there, ratio, -jnp.inf)
+        some = there.any() & (particles.log_weight > -jnp.inf).any()
+        log_new = jnp.where(some, mixture.log_normalise(log_new), -jnp.inf)
+        return Particles(log_new, particles.state[index], particles.mode[index])
+
+    return resample
 
 
 def systematic_index(key: Array, log_weight: Array, size: int, num: Any) -> Array:

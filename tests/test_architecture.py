@@ -19,7 +19,7 @@ FLOORS = (
     {"linalg", "models"},
     {
         *("linearize", "kalman", "kalman_parallel", "mixture", "cardinality"),
-        *("particle", "resampling", "rcm_kalman"),
+        *("particle", "resampling", "transport", "rcm_kalman"),
     },
     {"assign"},
     {"gate", "imm"},

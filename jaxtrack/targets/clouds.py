@@ -149,6 +149,8 @@ def renewed(scheme: Scheme, threshold: float, belief: Belief, key: Array) -> Bel
     some = Particles(belief.log_weight, _wide(belief), belief.mode)
     size = belief.mode.shape[0]
     new = _narrow(belief, scheme(key, some, size, belief.num))
+    worth = jnp.minimum(belief.effective_size, belief.num)
+    new = new._replace(effective_size=worth.astype(belief.effective_size.dtype))
     if threshold >= 1:
         return new
     filled = (belief.log_weight > -jnp.inf).sum()

@@ -132,6 +132,7 @@ class Settings(NamedTuple):
 
 def init(settings: Settings, params: Params, key: Array) -> State:
     """Starts with the targets of `params.start`, in the first slots."""
+    key, start_key = jax.random.split(key)
     tracks = bernoulli.nobody(
         settings.target,
         params.target,
@@ -143,7 +144,7 @@ def init(settings: Settings, params: Params, key: Array) -> State:
     label = jnp.zeros((), int)
     if params.start is not None:
         known, done = initiation.at_start(
-            settings.target, params, settings.max_tracks, label, key
+            settings.target, params, settings.max_tracks, label, start_key
         )
         tracks, record = jax.tree.map(_fill, (tracks, record), (known, done))
         label = label + known.label.size

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxtrack import linearize
 from jaxtrack.models import birth, clutter, motion, probability, sensor, switching, turn
-from jaxtrack.targets import imm, mixture, single
+from jaxtrack.targets import imm, mixture, particles, single
 from jaxtrack.trackers import cbmember
 from jaxtrack.types import Scan
 
@@ -220,6 +220,9 @@ CASES = {
     "cbmember_mixture": lambda: line_case(
         mixture.mixture(max_components=2), two_mode_params(), 2
     ),
+    "cbmember_particles": lambda: line_case(
+        particles.particles(max_particles=64), two_mode_params(), 2
+    ),
     "cbmember_ekf": ekf_case,
     "cbmember_detection_birth": detection_birth_case,
     "cbmember_merging": merging_case,
@@ -237,6 +240,8 @@ def associating_case(name):
 
 ASSOCIATING = ("nearest", "gnn", "ipda", "jpda", "jipda")
 CASES |= {name: functools.partial(associating_case, name) for name in ASSOCIATING}
+# Slopes stop where particles are resampled, and other digits draw other numbers.
+SAMPLED = {"cbmember_particles"}
 # The first compiles for a minute; the second is the tracker of `cbmember_imm`.
 SECOND_VARIANTS = {"cbmember_unscented", "cbmember_far_field"}
 
