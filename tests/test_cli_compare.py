@@ -20,7 +20,7 @@ from jaxtrack.study.scores import Scores
 ROOT = pathlib.Path(__file__).parent.parent
 KEYS = {"tracker", "setting", "ospa", "gospa", "cardinality_bias", "seconds"}
 KEYS |= {"expected_cardinality_bias", "compile_seconds", "runs_per_second", "dropped"}
-FILES = ["cardinality.png", "ospa.png", "result.nc", "summary.json"]
+FILES = ["cardinality.png", "numbers.png", "ospa.png", "result.nc", "summary.json"]
 
 
 @pytest.fixture(autouse=True)

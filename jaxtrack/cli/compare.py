@@ -145,7 +145,7 @@ def write(
 ) -> list[pathlib.Path]:
     """Writes the results, and returns where the pictures are."""
     from jaxtrack import plot
-    from jaxtrack.study import parts
+    from jaxtrack.study import numbers, parts
 
     text = json.dumps(summary, indent=2, allow_nan=False)
     (out / "summary.json").write_text(text + "\n")
@@ -156,6 +156,7 @@ def write(
     figures = {
         "ospa": plot.over_time(data, "ospa"),
         "cardinality": plot.over_time(data, "num_reported"),
+        "numbers": numbers.numbers_chart(data),
     }
     for job in plan.jobs:
         if job.point == plan.jobs[0].point:
