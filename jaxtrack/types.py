@@ -61,8 +61,21 @@ class Scan(NamedTuple):
     interval: Array
 
 
+class Scans(NamedTuple):
+    """What S sensors reported at one time.
+
+    Attributes:
+        each: A `Scan` for each sensor; the interval of the first one counts.
+        looked: Which sensors looked at all, [S] (bool). Nothing is missed by a sensor
+            that did not, and its detections are ignored.
+    """
+
+    each: tuple[Scan, ...]
+    looked: Array
+
+
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: fifteen functions.
+    """The belief about one target, as a tracker sees it: sixteen functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -95,6 +108,8 @@ class Target(NamedTuple):
             as the set of active modes, or the number of particles that a track of such
             probability to exist is worth.
         moments: (belief) -> Gaussian. Mean and covariance over all modes.
+        parts: (belief) -> Mixture [S]. What it is made of: Gaussians, or particles
+            with no covariance.
         modes: (belief) -> mode_prob[M]. One if there is a single mode.
         lost: (belief) -> scalar. Share of the belief's mass that its capacities threw
             away when it was last predicted or collapsed; 0 where nothing can be lost.
@@ -114,6 +129,7 @@ class Target(NamedTuple):
     blend: Callable[..., PyTree]
     adapt: Callable[..., PyTree]
     moments: Callable[[PyTree], Gaussian]
+    parts: Callable[[PyTree], Mixture]
     modes: Callable[[PyTree], Array]
     lost: Callable[[PyTree], Array]
     effective_size: Callable[[PyTree], Array]
@@ -127,8 +143,9 @@ class Tracker(NamedTuple):
 
     Attributes:
         init: (params, key) -> state.
-        step: (params, state, scan) -> (state, estimate).
+        step: (params, state, scan) -> (state, estimate); the scan is a `Scan`, or the
+            `Scans` of several sensors.
     """
 
     init: Callable[[PyTree, Array], PyTree]
-    step: Callable[[PyTree, PyTree, Scan], tuple[PyTree, PyTree]]
+    step: Callable[[PyTree, PyTree, Any], tuple[PyTree, PyTree]]

@@ -119,7 +119,7 @@ def test_scans_in_a_row_are_the_plain_filters(name):
         np.testing.assert_allclose(found.log_evidence[t], log_evidence, rtol=1e-9)
         np.testing.assert_allclose(found.existence_prob[t].sum(), total, rtol=1e-9)
         # Absolute: numbers that are less likely than rounding.
-        np.testing.assert_allclose(np.exp(found.log_cardinality[t]), p, atol=1e-12)
+        np.testing.assert_allclose(found.cardinality_prob[t], p, atol=1e-12)
         assert found.dropped[t] < 1e-9
 
 

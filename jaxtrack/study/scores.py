@@ -25,7 +25,7 @@ class Scores(NamedTuple):
             the power of the order.
         num_true: Targets that exist.
         num_reported: Tracks that were reported.
-        num_expected: Sum of the existence probabilities.
+        num_expected: Expected number of targets.
         num_std: Standard deviation of the number, as the tracker knows it.
         log_evidence: Log-density of the scan.
         dropped: Expected number of targets that capacities threw away.
@@ -75,7 +75,7 @@ def score(
         *general[:4],
         num_true=truth.exists.sum(1),
         num_reported=estimates.exists.sum(1),
-        num_expected=estimates.existence_prob.sum(1),
+        num_expected=estimates.num_mean,
         num_std=jnp.sqrt(jnp.maximum(estimates.num_var, 0.0)),
         log_evidence=estimates.log_evidence,
         dropped=estimates.dropped,

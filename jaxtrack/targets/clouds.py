@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtrack import mixture, particle
 from jaxtrack.particle import Particles
 from jaxtrack.resampling import Scheme
-from jaxtrack.types import Array
+from jaxtrack.types import Array, Mixture
 
 MISSED = 1  # what is folded into the key where there is no detection
 BLENDED = 2
@@ -66,6 +66,13 @@ def check(ess_threshold: float) -> None:
         raise ValueError(
             f"ess_threshold is {ess_threshold}; give a share above 0 and up to 1"
         )
+
+
+def parts(belief: Belief) -> Mixture:
+    """Returns the particles as Gaussians without covariance."""
+    size, dim = belief.state.shape
+    none = jnp.zeros((size, dim, dim), belief.state.dtype)
+    return Mixture(belief.log_weight, belief.state, none)
 
 
 def numbers(key: Array) -> Array:

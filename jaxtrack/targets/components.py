@@ -76,8 +76,12 @@ def normalised(belief: Belief) -> Belief:
 
 def moments(belief: Belief) -> Gaussian:
     """Returns the mean [D] and covariance [D, D] over all modes."""
-    flat = (x.reshape(-1, *x.shape[2:]) for x in belief[:3])
-    return mixture.collapse(Mixture(*flat))
+    return mixture.collapse(parts(belief))
+
+
+def parts(belief: Belief) -> Mixture:
+    """Returns all components of all modes in a row, M N of them."""
+    return Mixture(*(x.reshape(-1, *x.shape[2:]) for x in belief[:3]))
 
 
 def collapse(reduction: Reduction, log_weight: Array, beliefs: Belief) -> Belief:

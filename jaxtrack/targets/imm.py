@@ -94,6 +94,7 @@ def imm(
         blend=functools.partial(blend, method),
         adapt=verbs.unchanged,
         moments=mixture.collapse,
+        parts=lambda bank: bank,
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),
         effective_size=verbs.no_sample,

@@ -187,6 +187,7 @@ def likely_modes(
         blend=blended,
         adapt=functools.partial(_adapt, min_modes, temperature),
         moments=lambda belief: mixture.collapse(belief.counted),
+        parts=lambda belief: belief.counted,
         modes=lambda belief: mixture.normalise(belief.counted.log_weight),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
         effective_size=verbs.no_sample,

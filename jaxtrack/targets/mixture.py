@@ -99,6 +99,7 @@ def mixture(
         blend=verbs.blend(correct, collapse),
         adapt=verbs.unchanged,
         moments=components.moments,
+        parts=components.parts,
         modes=lambda belief: gaussians.normalise(
             jax.vmap(gaussians.total)(belief.log_weight)
         ),

@@ -143,6 +143,7 @@ def _made(settings: Settings) -> Target:
         blend=_blend,
         adapt=functools.partial(_adapt, settings),
         moments=lambda belief: particle.moments(belief.particles),
+        parts=clouds.parts,
         modes=lambda belief: particle.mode_prob(belief.particles, len(belief.root)),
         lost=lambda belief: jnp.zeros((), belief.state.dtype),
         effective_size=lambda belief: belief.effective_size,

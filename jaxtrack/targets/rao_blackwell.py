@@ -115,6 +115,7 @@ def rao_blackwell(
         blend=functools.partial(_blend, method),
         adapt=verbs.unchanged,
         moments=_moments,
+        parts=_parts,
         modes=lambda belief: particle.mode_prob(belief.particles, len(belief.root)),
         lost=lambda belief: jnp.zeros((), belief.state.dtype),
         effective_size=lambda belief: belief.effective_size,
@@ -239,7 +240,11 @@ def _collapse(scheme: Scheme, log_weight: Array, beliefs: Belief) -> Belief:
 
 
 def _moments(belief: Belief) -> Gaussian:
-    return mixture.collapse(Mixture(belief.log_weight, *_gaussians(belief)))
+    return mixture.collapse(_parts(belief))
+
+
+def _parts(belief: Belief) -> Mixture:
+    return Mixture(belief.log_weight, *_gaussians(belief))
 
 
 def _gaussians(belief: Belief) -> Gaussian:

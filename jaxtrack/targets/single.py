@@ -76,6 +76,7 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         blend=functools.partial(_blend, method),
         adapt=verbs.unchanged,
         moments=lambda belief: belief,
+        parts=_parts,
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
         effective_size=verbs.no_sample,
@@ -127,6 +128,11 @@ def _blend(
 
 def _collapse(log_weight: Array, beliefs: Gaussian) -> Gaussian:
     return mixture.collapse(Mixture(log_weight, beliefs.mean, beliefs.cov))
+
+
+def _parts(belief: Gaussian) -> Mixture:
+    whole = jnp.zeros(1, belief.mean.dtype)
+    return Mixture(whole, belief.mean[None], belief.cov[None])
 
 
 def _detect_prob(params: Params, belief: Gaussian) -> Array:

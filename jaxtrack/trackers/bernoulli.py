@@ -56,10 +56,11 @@ class Estimate(NamedTuple):
         cov: [N, D, D].
         label: Which target it is, [N] (int).
         exists: Report this one, [N] (bool).
-        existence_prob: [N]; its sum is the expected number of targets.
+        existence_prob: [N].
         mode_prob: [N, M].
         effective_size: How many equally weighted particles each belief is worth; 0
             where it is no sample, [N].
+        num_mean: Expected number of targets.
         num_var: Variance of the number of targets, as far as the tracker knows.
         log_evidence: Log-density of the scan given the past; how exact, the tracker
             says.
@@ -74,6 +75,7 @@ class Estimate(NamedTuple):
     existence_prob: Array
     mode_prob: Array
     effective_size: Array
+    num_mean: Array
     num_var: Array
     log_evidence: Array
     dropped: Array
@@ -292,6 +294,7 @@ def report(
         existence_prob=tracks.existence_prob,
         mode_prob=jax.vmap(target.modes)(tracks.belief),
         effective_size=jax.vmap(target.effective_size)(tracks.belief),
+        num_mean=tracks.existence_prob.sum(),
         num_var=(tracks.existence_prob * (1 - tracks.existence_prob)).sum(),
         log_evidence=log_evidence,
         dropped=dropped,

@@ -34,7 +34,14 @@ import jax.numpy as jnp
 
 from jaxtrack import cardinality
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
-from jaxtrack.trackers import counting, extraction, intensity, reduction
+from jaxtrack.trackers import (
+    bernoulli,
+    clustering,
+    counting,
+    extraction,
+    intensity,
+    reduction,
+)
 from jaxtrack.trackers.intensity import Components, Params, Update
 from jaxtrack.types import Array, Scan, Target, Tracker
 
@@ -65,14 +72,15 @@ class Estimate(NamedTuple):
         cov: [N, D, D].
         label: Which target it is, [N] (int).
         exists: Report this one, [N] (bool).
-        existence_prob: Expected number of targets in the slot, [N].
+        existence_prob: Expected number of targets in the slot, or 1 if more, [N].
         mode_prob: [N, M].
         effective_size: How many equally weighted particles each belief is worth; 0
             where it is no sample, [N].
+        num_mean: Expected number of targets.
         num_var: Variance of the number of targets.
         log_evidence: Log-density of the scan given the past.
         dropped: Expected number of targets that the capacities threw away.
-        log_cardinality: Log-probability of every number of targets, [max_targets + 1].
+        cardinality_prob: Probability of every number of targets, [max_targets + 1].
     """
 
     mean: Array
@@ -82,10 +90,11 @@ class Estimate(NamedTuple):
     existence_prob: Array
     mode_prob: Array
     effective_size: Array
+    num_mean: Array
     num_var: Array
     log_evidence: Array
     dropped: Array
-    log_cardinality: Array
+    cardinality_prob: Array
 
 
 class Settings(NamedTuple):
@@ -96,6 +105,7 @@ class Settings(NamedTuple):
     max_targets: int
     max_births: int
     report_threshold: float | None
+    extract: clustering.Extract
 
 
 @functools.cache
@@ -110,6 +120,7 @@ def cphd(
     report_threshold: float | None = None,
     partition: reduction.Partition = "pairs",
     max_parents: int = 8,
+    extract: clustering.Extract = "components",
 ) -> Tracker:
     """Makes a CPHD filter.
 
@@ -127,9 +138,10 @@ def cphd(
         partition: "pairs" or "detections", see `phd`.
         max_parents: Components that may share in one, where they merge or where it is
             made of all that a detection corrects.
+        extract: "components", the heaviest; or "clusters" by k-means of all particles.
 
     Raises:
-        ValueError: A size, threshold or partition that makes no sense.
+        ValueError: A setting that makes no sense.
     """
     size = reduction.make(
         max_components,
@@ -144,7 +156,10 @@ def cphd(
         raise ValueError(f"max_targets is {max_targets}; give at least 1")
     if report_threshold is not None:
         extraction.check(report_threshold)
-    settings = Settings(target, size, max_targets, max_births, report_threshold)
+    clustering.check(extract)
+    settings = Settings(
+        target, size, max_targets, max_births, report_threshold, extract
+    )
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
     )
@@ -180,20 +195,16 @@ def _step(
         components, label = intensity.add_births(
             target, params.target, components, params.birth, label, birth_key
         )
-        log_number, excess = _add(log_number, params.birth)
+        log_number, excess = add_newborn(log_number, params.birth)
 
     posterior, log_number = update(target, params, components, log_number, scan)
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
-    count = _count(log_number, settings.report_threshold)
-    picked = extraction.heaviest(components, count)
-    components, shown, label = extraction.tell_apart(components, picked, label)
-    num_var = cardinality.variance(log_number)
-    estimate = extraction.report(
-        target, components, picked, shown, num_var, posterior.log_evidence, dropped
+    components, estimate, label = _report(
+        settings, params, components, log_number, label, posterior.log_evidence, dropped
     )
-    estimate = Estimate(*estimate, log_cardinality=log_number)
+    estimate = Estimate(*estimate, cardinality_prob=jnp.exp(log_number))
 
     following = components
     if isinstance(params.birth, DetectionBirth):
@@ -203,13 +214,43 @@ def _step(
         following, label = intensity.add_births(
             target, params.target, components, births, label, birth_key
         )
-        log_number, excess = _add(log_number, births)
+        log_number, excess = add_newborn(log_number, births)
         dropped = dropped + lost
     estimate = estimate._replace(dropped=dropped + excess)
     return State(following, log_number, label, key), estimate
 
 
-def _count(log_number: Array, threshold: float | None) -> Array:
+def _report(
+    settings: Settings,
+    params: Params,
+    components: Components,
+    log_number: Array,
+    label: Array,
+    log_evidence: Array,
+    dropped: Array,
+) -> tuple[Components, bernoulli.Estimate, Array]:
+    """Extracts the targets; the components may be renamed."""
+    target, count = (
+        settings.target,
+        count_reported(log_number, settings.report_threshold),
+    )
+    told = cardinality.variance(log_number), log_evidence, dropped
+    if settings.extract == "clusters":
+        where = params.target.layout.position_index
+        estimate, label = clustering.report(
+            target, where, components, count, *told, label
+        )
+        return components, estimate, label
+    picked = extraction.heaviest(components, count)
+    components, shown, label = extraction.tell_apart(components, picked, label)
+    return (
+        components,
+        extraction.report(target, components, picked, shown, *told),
+        label,
+    )
+
+
+def count_reported(log_number: Array, threshold: float | None) -> Array:
     """Returns how many targets to report."""
     if threshold is None:
         return cardinality.likeliest(log_number)
@@ -217,7 +258,7 @@ def _count(log_number: Array, threshold: float | None) -> Array:
     return (more > threshold).sum()
 
 
-def _add(
+def add_newborn(
     log_number: Array, births: MultiBernoulliBirth | PoissonBirth
 ) -> tuple[Array, Array]:
     """Adds the number of newborn targets to the number of old ones."""

@@ -8,7 +8,7 @@ to w, each time with an equal share of w.
     >>> from jaxtrack.trackers.intensity import Components
     >>> one = Components(jnp.log(jnp.array([1.7, 0.4])), None, jnp.array([3, 5]))
     >>> picked = extraction.above(one, threshold=0.5)
-    >>> print(picked.slot, picked.existence_prob.round(2), picked.exists)
+    >>> print(picked.slot, picked.share.round(2), picked.exists)
     [0 0] [0.85 0.85] [ True  True]
 
 References: Vo and Ma 2006, Table III; Vo, Vo and Cantoni 2007, section IV-D.
@@ -32,13 +32,13 @@ class Picked(NamedTuple):
     Attributes:
         slot: The component, [N] (int).
         copy: Which of its targets, [N] (int).
-        existence_prob: Expected number of targets that it stands for, [N].
+        share: Expected number of targets that it stands for, [N].
         exists: Report this one, [N] (bool).
     """
 
     slot: Array
     copy: Array
-    existence_prob: Array
+    share: Array
     exists: Array
 
 
@@ -131,9 +131,10 @@ def report(
         cov=belief.cov,
         label=shown,
         exists=picked.exists,
-        existence_prob=picked.existence_prob,
+        existence_prob=jnp.minimum(picked.share, 1.0),
         mode_prob=jax.vmap(target.modes)(components.belief)[picked.slot],
         effective_size=jax.vmap(target.effective_size)(components.belief)[picked.slot],
+        num_mean=components.expected,
         num_var=num_var,
         log_evidence=log_evidence,
         dropped=dropped,

@@ -38,7 +38,7 @@ import jax.numpy as jnp
 
 from jaxtrack import mixture
 from jaxtrack.models.birth import DetectionBirth
-from jaxtrack.trackers import extraction, intensity, reduction
+from jaxtrack.trackers import clustering, extraction, intensity, reduction
 from jaxtrack.trackers.bernoulli import Estimate
 from jaxtrack.trackers.intensity import Components, Params, Sighting, Update
 from jaxtrack.types import Array, Scan, Target, Tracker
@@ -61,6 +61,7 @@ class Settings(NamedTuple):
     size: reduction.Reduction
     max_births: int
     report_threshold: float
+    extract: clustering.Extract
 
 
 @functools.cache
@@ -74,6 +75,7 @@ def phd(
     report_threshold: float = 0.5,
     partition: reduction.Partition = "pairs",
     max_parents: int = 8,
+    extract: clustering.Extract = "components",
 ) -> Tracker:
     """Makes a PHD filter.
 
@@ -90,9 +92,11 @@ def phd(
         partition: "pairs" or "detections": what makes a corrected component.
         max_parents: Components that may share in one, where they merge or where it is
             made of all that a detection corrects.
+        extract: "components", which are reported by their weight; or "clusters", as
+            many as the expected number rounded, by k-means of all particles.
 
     Raises:
-        ValueError: A size, threshold or partition that makes no sense.
+        ValueError: A setting that makes no sense.
     """
     size = reduction.make(
         max_components,
@@ -104,7 +108,8 @@ def phd(
     )
     reduction.check_births(max_births)
     extraction.check(report_threshold)
-    settings = Settings(target, size, max_births, report_threshold)
+    clustering.check(extract)
+    settings = Settings(target, size, max_births, report_threshold, extract)
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
     )
@@ -140,8 +145,9 @@ def _step(
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
-    picked = extraction.above(components, settings.report_threshold)
-    components, shown, label = extraction.tell_apart(components, picked, label)
+    components, estimate, label = _report(
+        settings, params, components, label, posterior.log_evidence, dropped
+    )
 
     following = components
     if isinstance(params.birth, DetectionBirth):
@@ -151,12 +157,34 @@ def _step(
         following, label = intensity.add_births(
             target, params.target, components, births, label, birth_key
         )
-        dropped = dropped + lost
-    num_var = components.expected  # that of a Poisson number
-    estimate = extraction.report(
-        target, components, picked, shown, num_var, posterior.log_evidence, dropped
-    )
+        estimate = estimate._replace(dropped=dropped + lost)
     return State(following, label, key), estimate
+
+
+def _report(
+    settings: Settings,
+    params: Params,
+    components: Components,
+    label: Array,
+    log_evidence: Array,
+    dropped: Array,
+) -> tuple[Components, Estimate, Array]:
+    """Extracts the targets; the components may be renamed."""
+    target, num = settings.target, components.expected
+    told = num, log_evidence, dropped  # the variance of a Poisson number is its mean
+    if settings.extract == "clusters":
+        where, count = params.target.layout.position_index, jnp.round(num)
+        estimate, label = clustering.report(
+            target, where, components, count, *told, label
+        )
+        return components, estimate, label
+    picked = extraction.above(components, settings.report_threshold)
+    components, shown, label = extraction.tell_apart(components, picked, label)
+    return (
+        components,
+        extraction.report(target, components, picked, shown, *told),
+        label,
+    )
 
 
 def update(

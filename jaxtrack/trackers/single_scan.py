@@ -93,6 +93,7 @@ class Estimate(NamedTuple):
         mode_prob: [N, M].
         effective_size: How many equally weighted particles each belief is worth; 0
             where it is no sample, [N].
+        num_mean: Expected number of targets.
         num_var: Variance of the number of targets if their existences are independent.
         log_evidence: Log-density of the scan given the tracks.
         dropped: Expected number of targets, or parts of them, that found no room.
@@ -108,6 +109,7 @@ class Estimate(NamedTuple):
     existence_prob: Array
     mode_prob: Array
     effective_size: Array
+    num_mean: Array
     num_var: Array
     log_evidence: Array
     dropped: Array

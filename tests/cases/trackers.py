@@ -12,7 +12,7 @@ import numpy as np
 from jaxtrack import linearize
 from jaxtrack.models import birth, clutter, motion, probability, sensor, switching, turn
 from jaxtrack.targets import imm, mixture, particles, single
-from jaxtrack.trackers import cbmember
+from jaxtrack.trackers import cbmember, cphd, phd
 from jaxtrack.types import Scan
 
 SCANS, SLOTS, PADDED = 6, 5, 7
@@ -214,7 +214,38 @@ def far_field_case():
     )
 
 
+# Merging only what is equal, so that a tracker with more room is in the same state.
+FEW = {"max_components": 4, "max_updated": 40, "merge_threshold": 0.0}
+MANY = {"max_components": 48, "max_updated": 240, "merge_threshold": 0.0}
+
+
+def intense_case(maker, target, params, num_modes):
+    """PHD and CPHD filters, by pairs of a component and a detection."""
+    plain = line_case(target, params, num_modes)
+    return plain._replace(
+        make=functools.partial(maker, target, prune_threshold=1e-4),
+        params=phd.Params(*plain.params),
+        capacities=FEW,
+        large=MANY,
+    )
+
+
+def cphd_detection_birth_case():
+    """By detection, merging, and told of births by the last scan."""
+    plain = detection_birth_case()
+    room = {"max_births": PADDED, "merge_threshold": 4.0}
+    return plain._replace(
+        make=functools.partial(cphd.cphd, single.single(), partition="detections"),
+        params=cphd.Params(*plain.params),
+        capacities={"max_components": 4, **room},
+        large={"max_components": 48, **room},
+    )
+
+
 CASES = {
+    "phd_single": lambda: intense_case(phd.phd, single.single(), single_params(), 1),
+    "cphd_imm": lambda: intense_case(cphd.cphd, imm.imm(), two_mode_params(), 2),
+    "cphd_detection_birth": cphd_detection_birth_case,
     "cbmember_single": lambda: line_case(single.single(), single_params(), 1),
     "cbmember_imm": lambda: line_case(imm.imm(), two_mode_params(), 2),
     "cbmember_mixture": lambda: line_case(

@@ -31,6 +31,7 @@ class Estimate(NamedTuple):
     exists: jax.Array
     existence_prob: jax.Array
     mode_prob: jax.Array
+    num_mean: jax.Array
     num_var: jax.Array
     log_evidence: jax.Array
     dropped: jax.Array
@@ -56,6 +57,7 @@ def echo(max_tracks):
             exists=exists,
             existence_prob=0.9 * exists,
             mode_prob=jnp.ones((num, 1)),
+            num_mean=0.9 * exists.sum(),
             num_var=jnp.zeros(()),
             log_evidence=-scan.valid.sum().astype(float),
             dropped=params.dropped,
