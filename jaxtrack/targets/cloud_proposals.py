@@ -221,7 +221,7 @@ def _pushed(belief: Belief, noise: Array) -> Array:
 
 
 def _noise(key: Array, belief: Belief) -> Array:
-    return jax.random.normal(key, belief.state.shape, belief.state.dtype)
+    return particle.normals(key, belief.state)
 
 
 def _lines(method: Method, sensor: Any, params: Any, view: View) -> Line:

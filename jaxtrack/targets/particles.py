@@ -200,7 +200,7 @@ def _drawn(
     root = jnp.stack([dense(x) for x in roots]).astype(belief.root.dtype)
     if settings.proposal is not None:
         return belief._replace(root=root)
-    noise = jax.random.normal(key, belief.state.shape, belief.state.dtype)
+    noise = particle.normals(key, belief.state)
     state = belief.state + cloud_motion.push(roots, belief.mode, noise)
     if settings.num_moves:
         return belief._replace(state=state, carried=belief.state, root=root)

@@ -62,8 +62,7 @@ class Estimate(NamedTuple):
             where it is no sample, [N].
         num_mean: Expected number of targets.
         num_var: Variance of the number of targets, as far as the tracker knows.
-        log_evidence: Log-density of the scan given the past; how exact, the tracker
-            says.
+        log_evidence: Log-density of the scan given the past; trackers say how exact.
         dropped: Expected number of targets, or of the parts of their mixtures, that the
             capacities threw away.
     """
