@@ -18,6 +18,16 @@ def linear():
     )
 
 
+@pytest.fixture(scope="module")
+def intense():
+    return engine.monte_carlo(
+        "yuan2013-linear",
+        ["gm-mm-phd", "gm-mm-cphd"],
+        runs=24,
+        settings={"clutter_rate": [60.0]},
+    )
+
+
 def averages(dataset, tracker):
     """Mean OSPA of each clutter rate, and the bias of the reported number."""
     chosen = dataset.sel(tracker=tracker)
@@ -41,3 +51,18 @@ def test_single_models_lose_targets_as_in_figures_4_and_5(linear, tracker):
     ospa, bias = averages(linear, tracker)
     assert (ospa > 65).all()
     assert (bias < -1).all()
+
+
+@pytest.mark.parametrize("tracker", ["gm-mm-phd", "gm-mm-cphd"])
+def test_intensities_are_as_good_as_table_3(intense, tracker):
+    (ospa,), (bias,) = averages(intense, tracker)
+    assert 18 < ospa < yuan2013_linear.PUBLISHED[tracker][60]
+    assert abs(bias) < 0.25
+
+
+def test_cphd_knows_the_number_better_than_phd(intense):
+    """Figure 4 (c) and (d): nearly the same mean, a smaller spread; OSPA is lower."""
+    phd, cphd = (intense.sel(tracker=x) for x in ("gm-mm-phd", "gm-mm-cphd"))
+    assert cphd.num_std.mean() < 0.7 * phd.num_std.mean()
+    difference = (cphd.ospa - phd.ospa).mean("time").values[0]
+    assert difference.mean() < difference.std() / len(difference) ** 0.5
