@@ -16,11 +16,11 @@ from benchmarks import climit, table
 
 ALL = (
     *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "jpda"),
-    *("phd", "cores", "start", "study", "growth"),
+    *("phd", "particles", "cores", "start", "study", "growth"),
 )
 PACKAGES = (
     *("jax", "jaxlib", "numpy", "scipy"),
-    *("dynamax", "filterpy", "stonesoup", "pyehm"),
+    *("dynamax", "filterpy", "stonesoup", "pyehm", "cuthbert"),
 )
 
 

@@ -65,6 +65,9 @@ Scheme = Callable[[Array, Particles, int, Any], Particles]
 Indices = Callable[[Array, Array, int, Any], Array]
 
 
+BLOCK = 32  # of running sums
+
+
 def systematic(key: Array, particles: Particles, size: int, num: Any) -> Particles:
     """Resamples with one uniform number for all strata.
 
@@ -193,7 +196,7 @@ def even(filled: Array, dtype: Any) -> Array:
 
 def _cdf(log_weight: Array) -> Array:
     """Returns the summed shares of the weight, the last 1, [P]."""
-    cdf = jnp.cumsum(mixture.normalise(jax.lax.stop_gradient(log_weight)))
+    cdf = running(mixture.normalise(jax.lax.stop_gradient(log_weight)))
     return cdf / cdf[-1]
 
 
@@ -208,8 +211,31 @@ def _owners(ends: Array, size: int) -> Array:
 
     As many as end at or before it, so that ends need not even be in order.
     """
-    ended = jnp.zeros(size + 1, jnp.int32).at[ends].add(1, mode="drop")
-    return jnp.minimum(jnp.cumsum(ended[:size]), len(ends) - 1)
+    ended = jnp.zeros(size + 1, jnp.float32).at[ends].add(1.0, mode="drop")
+    index = running(ended[:size]).astype(jnp.int32)
+    return jnp.minimum(index, len(ends) - 1)
+
+
+def running(values: Array) -> Array:
+    """Returns the sums of the first 1, 2, ... of L values, [L].
+
+    As products of matrices, block by block, several times as fast as `jax.numpy.cumsum`
+    on a CPU. Whole numbers are exact in float32 up to 2^24.
+    """
+    size = len(values)
+    if size <= BLOCK:
+        return _up_to(values[None])[0]
+    blocks = jnp.pad(values, (0, -size % BLOCK)).reshape(-1, BLOCK)
+    within = _up_to(blocks)
+    total = within[:, -1]
+    before = jnp.pad(running(total)[:-1], (1, 0))
+    return (within + before[:, None]).ravel()[:size]
+
+
+def _up_to(rows: Array) -> Array:
+    """Returns the running sums of each row, [R, C]."""
+    upper = jnp.triu(jnp.ones((rows.shape[1],) * 2, rows.dtype))
+    return jnp.matmul(rows, upper, precision=jax.lax.Precision.HIGHEST)
 
 
 def _ordered(key: Array, size: int, num: Any, dtype: Any) -> Array:

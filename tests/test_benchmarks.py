@@ -14,7 +14,7 @@ from benchmarks import climit, common, problems, table
 FAST = ("gaussians",)
 SLOW = (
     *("kalman", "extended", "imm", "gradient", "assign", "jpda"),
-    *("phd", "cores", "start", "study", "growth", "crowds"),
+    *("phd", "particles", "cores", "start", "study", "growth", "crowds"),
 )
 KEYS = {
     *("work", "precision", "rate", "unit", "peer", "ratio_to_peer", "limit"),
