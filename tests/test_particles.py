@@ -17,7 +17,7 @@ from reference import bruteforce
 
 from jaxtrack import linearize, particle, resampling
 from jaxtrack.models import motion, probability, sensor, switching
-from jaxtrack.targets import particles, rao_blackwell, single
+from jaxtrack.targets import clouds, particles, rao_blackwell, single
 from jaxtrack.types import Gaussian
 
 INTERVAL = 0.75
@@ -207,12 +207,28 @@ def test_two_detections_make_two_clouds_and_no_key_twice():
     detections = jnp.array([[0.1], [0.1 + 1e-12]])
     corrected = jax.vmap(target.correct, (None, None, 0))(params, view, detections)
     blended = target.blend(params, view, missed, jnp.zeros(3), detections)
-    keys = [belief.key, missed.key, *corrected.key, blended.key]
-    assert len({tuple(np.array(key)) for key in keys}) == 5
+    pooled = target.collapse(jnp.zeros(2), corrected)
+    folded = clouds.fold(corrected.key[0], clouds.COLLAPSED)
+    last = [clouds.fold(belief.key, jnp.array([0.1, x])) for x in (1.0, 2.0)]
+    keys = [belief.key, missed.key, *corrected.key, blended.key, pooled.key, folded]
+    assert len({tuple(np.array(key)) for key in [*keys, *last]}) == 9
     later, _ = jax.vmap(target.predict, (None, 0, None))(
         params, corrected, jnp.asarray(INTERVAL)
     )
     assert not np.isclose(later.state[0], later.state[1]).any()
+
+
+def test_noise_that_waits_counts_in_the_moments():
+    """Before anything is drawn they are the prior's, and after one motion exact."""
+    target, params = WAYS["extended"], two_modes()
+    belief = target.begin(params, PRIOR, jnp.array([1.0, 0.0]), jax.random.key(0))
+    np.testing.assert_allclose(target.moments(belief).mean, PRIOR.mean)
+    np.testing.assert_allclose(target.moments(belief).cov, PRIOR.cov)
+    stay = params._replace(switching=switching.MarkovSwitching(jnp.eye(2)))
+    moved, _ = target.predict(stay, belief, jnp.asarray(INTERVAL))
+    noise = np.array(params.motions[0].noise(INTERVAL))
+    drawn = np.cov(np.array(moved.state).T, bias=True)
+    np.testing.assert_allclose(target.moments(moved).cov, drawn + noise, rtol=1e-9)
 
 
 def test_number_of_particles_goes_with_existence():
@@ -264,7 +280,8 @@ def test_regularising_keeps_each_modes_mean_and_covariance():
     state = rng.normal(size=(3000, 2)) @ np.array([[2.0, 1.0], [0.0, 0.5]])
     state = np.repeat(state[:1500], 2, axis=0) + 30.0 * mode[:, None]
     given = particle.Particles(jnp.zeros(3000), jnp.array(state), jnp.array(mode))
-    new = jax.jit(lambda key: particle.regularise(key, given, 2))(jax.random.key(0))
+    wide = jax.jit(lambda key: particle.regularise(key, given, 2, scale=2.5))
+    new = wide(jax.random.key(0))
     assert len(np.unique(new.state[:, 0])) == 3000
     for number in (0, 1):
         before, after = state[mode == number], np.array(new.state)[mode == number]
