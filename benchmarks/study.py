@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import common
 from benchmarks.common import Job, Row, Size
 from jaxtrack import engine, scenarios
-from jaxtrack.trackers import bernoulli, cbmember
+from jaxtrack.trackers import bernoulli, multi_bernoulli
 
 KIND = "float32"
 SCENARIO = "yuan2013-linear"
@@ -68,9 +68,11 @@ def stages(name: str, runs: int, **settings: int) -> dict[str, Job]:
     add("step", functools.partial(tracker.step, params), state, scan)
     predict = functools.partial(bernoulli.predict, sizes.target, params.target)
     tracks = add("predict", predict, state.tracks, scan.interval)
-    update = functools.partial(cbmember._update, sizes.target, params)
+    update = functools.partial(
+        multi_bernoulli.update, sizes.balance, sizes.target, params
+    )
     updated = add("update", update, tracks, scan)
-    keep = functools.partial(cbmember._keep, sizes, params.target)
+    keep = functools.partial(multi_bernoulli.keep, sizes, params.target)
     add("keep", keep, tracks, scan, updated)
     return jobs
 

@@ -47,12 +47,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack import mixture
-from jaxtrack.linalg import safe_log
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
-from jaxtrack.trackers import alternatives, bernoulli
+from jaxtrack.trackers import alternatives, bernoulli, multi_bernoulli
 from jaxtrack.trackers.bernoulli import Estimate, Tracks
-from jaxtrack.types import Array, PyTree, Scan, Target, Tracker
+from jaxtrack.trackers.multi_bernoulli import Balance, Settings
+from jaxtrack.types import Array, Scan, Target, Tracker
 
 
 class Params(NamedTuple):
@@ -79,43 +78,6 @@ class State(NamedTuple):
     key: Array
 
 
-class Settings(NamedTuple):
-    """The maker's arguments."""
-
-    target: Target
-    max_tracks: int
-    max_births: int
-    max_parents: int
-    max_updated: int
-    prune_threshold: float
-    report_threshold: float
-    merge_threshold: float
-    split_threshold: float
-
-
-class Update(NamedTuple):
-    """Equation 34: how likely each legacy and each updated track exists.
-
-    Attributes:
-        missed: Beliefs of the legacy tracks, [N, ...].
-        views: All tracks as the sensor sees them, [N, ...].
-        legacy_prob: [N].
-        updated_prob: [K].
-        log_weight: Share of track n in the updated track of detection k, [N, K],
-            not normalised.
-        unexplained_prob: Probability that no known track caused the detection, [K].
-        log_evidence: Log-density of the scan.
-    """
-
-    missed: PyTree
-    views: PyTree
-    legacy_prob: Array
-    updated_prob: Array
-    log_weight: Array
-    unexplained_prob: Array
-    log_evidence: Array
-
-
 @functools.cache
 def cbmember(
     target: Target,
@@ -127,6 +89,7 @@ def cbmember(
     report_threshold: float = 0.5,
     merge_threshold: float = 0.0,
     split_threshold: float = 0.8,
+    balance: Balance = "paper",
 ) -> Tracker:
     """Makes a CBMeMBer filter.
 
@@ -143,39 +106,48 @@ def cbmember(
             nothing merges and each track counts for itself.
         split_threshold: Where tracks merge, a track beside a likelier one under its
             label starts its own if it exists with more probability than this.
+        balance: "paper", or "claims", which gives each detection to one track at most:
+            no overcount, for more work; see `multi_bernoulli`.
 
     Raises:
-        ValueError: A size or threshold that makes no sense.
+        ValueError: A size, threshold or balance that makes no sense.
     """
-    updated = max_tracks if max_updated is None else max_updated
-    sizes = {"max_tracks": max_tracks, "max_births": max_births}
-    sizes = {**sizes, "max_parents": max_parents, "max_updated": updated}
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
-    given = prune_threshold, report_threshold, split_threshold
-    for name, value in zip(("prune", "report", "split"), given, strict=True):
-        if not 0 <= value < 1:
-            message = f"{name}_threshold is {value}; give a probability from 0 up to 1"
-            raise ValueError(message)
-    if not merge_threshold >= 0:
-        raise ValueError(
-            f"merge_threshold is {merge_threshold}; give a squared distance, e.g. 4"
-        )
     settings = Settings(
         target,
         max_tracks,
         max_births,
         max_parents,
-        updated,
+        max_tracks if max_updated is None else max_updated,
         prune_threshold,
         report_threshold,
         merge_threshold,
         split_threshold,
+        balance,
     )
+    check(settings)
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
     )
+
+
+def check(settings: Settings) -> None:
+    """Raises a ValueError for settings that make no sense."""
+    for name in ("max_tracks", "max_births", "max_parents", "max_updated"):
+        if (size := getattr(settings, name)) < 1:
+            raise ValueError(f"{name} is {size}; give at least 1")
+    for name in ("prune_threshold", "report_threshold", "split_threshold"):
+        if not 0 <= (value := getattr(settings, name)) < 1:
+            raise ValueError(f"{name} is {value}; give a probability from 0 up to 1")
+    if not settings.merge_threshold >= 0:
+        raise ValueError(
+            f"merge_threshold is {settings.merge_threshold}; give a squared distance, "
+            "e.g. 4"
+        )
+    if settings.balance not in ("paper", "claims"):
+        raise ValueError(
+            f'balance is {settings.balance!r}; give "paper" (each detection by itself) '
+            'or "claims" (by the probabilities of all joint events)'
+        )
 
 
 def _init(settings: Settings, params: Params, key: Array) -> State:
@@ -191,7 +163,7 @@ def _step(
     settings: Settings, params: Params, state: State, scan: Scan
 ) -> tuple[State, Estimate]:
     """Predicts, adds births, updates, keeps the likeliest and reports."""
-    target, threshold = settings.target, settings.report_threshold
+    target = settings.target
     key, birth_key = jax.random.split(state.key)
     label = state.next_label
 
@@ -200,15 +172,11 @@ def _step(
         born = bernoulli.begin(target, params.target, params.birth, label, birth_key)
         tracks, label = bernoulli.append(tracks, born), label + born.label.size
 
-    update = _update(target, params, tracks, scan)
-    tracks, dropped = _keep(settings, params.target, tracks, scan, update)
-    merging = settings.merge_threshold > 0
-    if merging:
-        tracks = alternatives.merge(target, tracks, settings.merge_threshold)
-    apart = settings.split_threshold if merging else threshold
-    tracks, shown, label = bernoulli.tell_apart(tracks, label, apart)
-    if merging:  # a label is one target, so a rival has its own for good
-        tracks = tracks._replace(label=shown, alias=jnp.full_like(shown, -1))
+    update = multi_bernoulli.update(settings.balance, target, params, tracks, scan)
+    tracks, dropped = multi_bernoulli.keep(
+        settings, params.target, tracks, scan, update
+    )
+    tracks, shown, label = tell_apart(settings, tracks, label)
 
     if not isinstance(params.birth, DetectionBirth):
         following = tracks
@@ -223,78 +191,44 @@ def _step(
         born = bernoulli.begin(target, params.target, births, label, birth_key)
         following, label = bernoulli.append(tracks, born), label + born.label.size
         dropped = dropped + lost
-    estimate = bernoulli.report(
-        target, tracks, shown, threshold, update.log_evidence, dropped
-    )
-    if merging:
-        estimate = estimate._replace(exists=alternatives.heirs(tracks, threshold))
+    estimate = report(settings, tracks, shown, update.log_evidence, dropped)
     return State(following, label, key), estimate
 
 
-def _update(target: Target, params: Params, tracks: Tracks, scan: Scan) -> Update:
-    """Equation 34, in logarithms."""
-    missed, log_miss = jax.vmap(target.miss, (None, 0))(params.target, tracks.belief)
-    views = jax.vmap(target.look, (None, 0))(params.target, tracks.belief)
-    score = jax.vmap(target.score, (None, 0, None))(
-        params.target, views, scan.detections
-    )
-    clutter = jax.vmap(params.clutter.log_density)(scan.detections)
+def tell_apart(
+    settings: Settings, tracks: Tracks, label: Array
+) -> tuple[Tracks, Array, Array]:
+    """Merges the tracks of one target, if asked to, and finds labels to report.
 
-    # 1 / (1 - r) must stay finite; nothing else is clipped.
-    tiny = jnp.finfo(tracks.existence_prob.dtype).eps
-    prob = jnp.minimum(tracks.existence_prob, 1 - tiny)
-    empty_prob = 1 - prob + prob * jnp.exp(log_miss)  # 1 - r <p, p_D>
-    absent_given_empty = (1 - prob) / empty_prob
+    Args:
+        settings: The maker's.
+        tracks: N tracks, likeliest first.
+        label: The first free label.
 
-    log_hit = safe_log(prob / empty_prob)[:, None] + score  # [N, K]
-    log_all = jnp.concatenate([log_hit, clutter[None]])
-    log_all = jnp.where(scan.valid[None], log_all, -jnp.inf)
-    log_total = jax.vmap(mixture.total, 1)(log_all)  # [K]
-    possible = log_total > -jnp.inf
-    share = jnp.exp(log_all - jnp.where(possible, log_total, 0.0)[None])
-
-    return Update(
-        missed=missed,
-        views=views,
-        legacy_prob=prob * jnp.exp(log_miss) / empty_prob,
-        updated_prob=(share[:-1] * absent_given_empty[:, None]).sum(0),
-        log_weight=safe_log(prob / (1 - prob))[:, None] + score,
-        unexplained_prob=jnp.where(possible, share[-1], 1.0),
-        log_evidence=jnp.where(scan.valid, log_total, 0.0).sum()
-        + jnp.log(empty_prob).sum()
-        - params.clutter.rate,
-    )
-
-
-def _keep(
-    settings: Settings, params: Any, tracks: Tracks, scan: Scan, update: Update
-) -> tuple[Tracks, Array]:
-    """Prunes and caps the tracks; only the likeliest detections make updated tracks.
-
-    Returns the survivors, likeliest first, and the expected number of targets dropped.
+    Returns:
+        The tracks, the labels [N] and the next free label.
     """
-    target, threshold = settings.target, settings.prune_threshold
-    legacy_prob = jnp.where(update.legacy_prob >= threshold, update.legacy_prob, 0.0)
-    updated_prob = jnp.where(update.updated_prob >= threshold, update.updated_prob, 0.0)
-    most = min(settings.max_updated, updated_prob.size)
-    hit_prob, detection = jax.lax.top_k(updated_prob, most)
-    absorb = functools.partial(
-        bernoulli.absorb, target, params, update.views, settings.max_parents
-    )
-    hits, ancestor, lost = jax.vmap(absorb)(
-        update.log_weight[:, detection].T, scan.detections[detection]
-    )
+    if not settings.merge_threshold > 0:
+        return bernoulli.tell_apart(tracks, label, settings.report_threshold)
+    tracks = alternatives.merge(settings.target, tracks, settings.merge_threshold)
+    tracks, shown, label = bernoulli.tell_apart(tracks, label, settings.split_threshold)
+    # A label is one target, so a rival has its own for good.
+    tracks = tracks._replace(label=shown, alias=jnp.full_like(shown, -1))
+    return tracks, shown, label
 
-    prob = jnp.concatenate([legacy_prob, hit_prob])
-    kept_prob, kept = jax.lax.top_k(prob, min(settings.max_tracks, prob.size))
-    lost = jnp.concatenate([jax.vmap(target.lost)(update.missed), lost])
-    dropped = legacy_prob.sum() + updated_prob.sum() - kept_prob.sum()
-    dropped = dropped + (kept_prob * lost[kept]).sum()
-    survivors = bernoulli.append(
-        tracks._replace(existence_prob=legacy_prob, belief=update.missed),
-        Tracks(hit_prob, hits, tracks.label[ancestor], tracks.alias[ancestor]),
+
+def report(
+    settings: Settings,
+    tracks: Tracks,
+    shown: Array,
+    log_evidence: Array,
+    dropped: Array,
+) -> Estimate:
+    """Reports the tracks, see `bernoulli.report`, or the labels where tracks merge."""
+    threshold = settings.report_threshold
+    estimate = bernoulli.report(
+        settings.target, tracks, shown, threshold, log_evidence, dropped
     )
-    survivors = jax.tree.map(lambda x: x[kept], survivors)
-    belief = jax.vmap(target.adapt, (None, 0, 0))(params, survivors.belief, kept_prob)
-    # Nothing dropped can come out as minus one rounding.
-    return survivors._replace(belief=belief), jnp.maximum(dropped, 0.0)
+    if settings.merge_threshold > 0:
+        return estimate._replace(exists=alternatives.heirs(tracks, threshold))
+    return estimate
