@@ -23,16 +23,16 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.scenarios.world import Maker, World, observe
+from jaxtrack.scenarios.world import Maker, World, observe, shown
 from jaxtrack.study import devices, parts, sweep, table
 from jaxtrack.study.scores import Scores, score
-from jaxtrack.types import Array, PyTree, Scan, Tracker
+from jaxtrack.types import Array, PyTree, Scan, Scans, Tracker
 
 if TYPE_CHECKING:
     import xarray
 
 
-def run(tracker: Tracker, params: PyTree, scans: Scan, key: Array) -> PyTree:
+def run(tracker: Tracker, params: PyTree, scans: Scan | Scans, key: Array) -> PyTree:
     """Runs a tracker over T scans; every estimate comes back with a leading T.
 
     For R runs at once, `run_many`.
@@ -130,7 +130,7 @@ def run_keys(seed: int, first: int, count: int) -> Array:
 
 def simulate_and_run(
     tracker: Tracker, params: PyTree, world: World, max_detections: int, key: Array
-) -> tuple[Scan, Any]:
+) -> tuple[Scan | Scans, Any]:
     """Draws one run's scans and tracks them.
 
     Args:
@@ -167,7 +167,8 @@ def watch_chunk(
     def one(key: Array) -> tuple[Scores, dict[str, Array]]:
         scans, estimates = simulate_and_run(tracker, params, world, max_detections, key)
         scores = score(world.truth, world.motion, estimates, cutoff, order)
-        return scores, {**scans._asdict(), **estimates._asdict()}
+        seen = shown(scans, world.sensor)
+        return scores, {**seen._asdict(), **estimates._asdict()}
 
     scores, seen = jax.vmap(one)(keys)
     return scores, jax.tree.map(lambda x: x[:1], seen)

@@ -11,7 +11,7 @@ from jaxtrack import scenarios
 from jaxtrack.models import clutter, motion, probability, sensor
 from jaxtrack.scenarios import turning_aircraft, world, yuan2013
 
-NAMES = sorted(scenarios.MAKERS)
+NAMES = sorted(set(scenarios.MAKERS) - {"two-sensors"})  # of one sensor
 
 
 @functools.cache
@@ -101,6 +101,23 @@ def test_detections_scatter_around_the_truth(name):
     nearest = jnp.where(scans.valid[:, 25], distance, jnp.inf).min(1)
     # The length of two standard normal errors has the median 1.18.
     assert 0.7 < jnp.median(nearest) < 1.7
+
+
+def test_each_of_two_sensors_sees_its_own_disc():
+    scenario = scenarios.make("two-sensors", clutter_rate=0.0)
+    keys = jax.random.split(jax.random.key(0), 20)
+    simulate = jax.jit(jax.vmap(lambda key: scenario.simulate(key)[1]))
+    scans, seen = simulate(keys), scenario.world
+    places = world.shown(jax.tree.map(lambda x: x[0], scans), seen.sensor)
+    assert places.detections.shape == (60, 2 * scenario.max_detections, 2)
+    for k, (scan, own) in enumerate(zip(scans.each, seen.detect, strict=True)):
+        prob = jax.vmap(jax.vmap(lambda x, own=own: own.prob(0, x, 0.0)))
+        expected = jnp.where(seen.truth.exists, prob(seen.truth.state), 0.0).sum()
+        found = scan.valid.sum() / len(keys)
+        assert abs(found - expected) < 4 * jnp.sqrt(expected / len(keys))
+        where = jax.vmap(lambda z, k=k: seen.sensor[k].locate(z).mean)
+        away = where(scan.detections[scan.valid]) - own.centre[None]
+        assert jnp.linalg.norm(away, axis=1).max() < own.radius + 200.0
 
 
 def test_a_target_without_noise_is_seen_where_it_is():

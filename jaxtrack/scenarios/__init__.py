@@ -14,6 +14,7 @@ from jaxtrack.scenarios import (
     manoeuvre_digraph,
     parallel_pair,
     turning_aircraft,
+    two_sensors,
     yuan2013_linear,
     yuan2013_range_bearing,
 )
@@ -25,6 +26,7 @@ MAKERS: dict[str, Maker] = {
     "gomes-crossing": gomes_crossing.make,
     "manoeuvre-digraph": manoeuvre_digraph.make,
     "turning-aircraft": turning_aircraft.make,
+    "two-sensors": two_sensors.make,
     "yuan2013-linear": yuan2013_linear.make,
     "yuan2013-range-bearing": yuan2013_range_bearing.make,
 }

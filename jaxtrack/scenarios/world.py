@@ -23,7 +23,7 @@ import numpy as np
 from jaxtrack import linalg
 from jaxtrack.entries import dense
 from jaxtrack.models.turn import CoordinatedTurn
-from jaxtrack.types import Array, PyTree, Scan, Tracker
+from jaxtrack.types import Array, PyTree, Scan, Scans, Tracker
 
 
 class Truth(NamedTuple):
@@ -46,9 +46,10 @@ class World(NamedTuple):
     Attributes:
         truth: The targets.
         motion: A motion model, asked only where positions and velocities stand.
-        sensor: Of `models.sensor`.
-        detect: Of `models.probability`; a target's mode counts as 0.
-        clutter: Of `models.clutter`.
+        sensor: Of `models.sensor`, or a list of several.
+        detect: Of `models.probability`; a target's mode counts as 0. One for each
+            sensor.
+        clutter: Of `models.clutter`. One for each sensor.
     """
 
     truth: Truth
@@ -81,7 +82,7 @@ class Scenario(NamedTuple):
     order: float
     published: Mapping[str, Mapping[int, float]]
 
-    def simulate(self, key: Array) -> tuple[Truth, Scan]:
+    def simulate(self, key: Array) -> tuple[Truth, Scan | Scans]:
         """Draws one run: the truth, and scans with a leading T."""
         world = self.world
         return world.truth, observe(key, *world, self.max_detections)
@@ -98,22 +99,43 @@ def observe(
     detect: Any,
     clutter: Any,
     max_detections: int,
-) -> Scan:
-    """Draws what the sensor reports.
+) -> Scan | Scans:
+    """Draws what the sensor reports, or each of several.
 
     Args:
         key: Random key.
         truth: T scans of N targets.
         motion: Asked only where positions and velocities stand.
-        sensor: Of `models.sensor`.
-        detect: Of `models.probability`.
-        clutter: Of `models.clutter`.
+        sensor: Of `models.sensor`, or a list of several.
+        detect: Of `models.probability`, or a list.
+        clutter: Of `models.clutter`, or a list.
         max_detections: Slots K; where a scan holds more, clutter goes first.
 
     Returns:
         Scans with a leading T: detections [T, K, Z], valid [T, K], interval [T]. The
-        first scan has no predecessor and repeats the interval of the second.
+        first scan has no predecessor and repeats the interval of the second. Of several
+        sensors `Scans`, in which all looked.
     """
+    if not isinstance(sensor, list):
+        return _observe(key, truth, motion, sensor, detect, clutter, max_detections)
+    keys = jax.random.split(key, len(sensor))
+    own = zip(keys, sensor, detect, clutter, strict=True)
+    each = tuple(
+        _observe(k, truth, motion, s, d, c, max_detections) for k, s, d, c in own
+    )
+    return Scans(each, jnp.ones((truth.time.size, len(sensor)), bool))
+
+
+def _observe(
+    key: Array,
+    truth: Truth,
+    motion: Any,
+    sensor: Any,
+    detect: Any,
+    clutter: Any,
+    max_detections: int,
+) -> Scan:
+    """Draws what one sensor reports."""
 
     def one(key: Array, state: Array, exists: Array) -> tuple[Array, Array]:
         target_key, seen_key, clutter_key = jax.random.split(key, 3)
@@ -131,6 +153,26 @@ def observe(
     detections, valid = jax.vmap(one)(keys, truth.state, truth.exists)
     gaps = jnp.diff(truth.time)
     return Scan(detections, valid, jnp.concatenate([gaps[:1], gaps]))
+
+
+def shown(scans: Scan | Scans, sensor: Any) -> Scan:
+    """Returns scans for a picture: of several sensors the positions, in one row.
+
+    Args:
+        scans: With a leading T.
+        sensor: As in `World`; each of several must be able to locate.
+    """
+    if isinstance(scans, Scan):
+        return scans
+    places = [
+        jax.vmap(jax.vmap(lambda z, x=x: x.locate(z).mean))(scan.detections)
+        for x, scan in zip(sensor, scans.each, strict=True)
+    ]
+    return Scan(
+        jnp.concatenate(places, 1),
+        jnp.concatenate([scan.valid for scan in scans.each], 1),
+        scans.each[0].interval,
+    )
 
 
 def _detect(key: Array, state: Array, motion: Any, sensor: Any) -> Array:
