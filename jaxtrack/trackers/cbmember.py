@@ -29,6 +29,7 @@ are exact, for any number of tracks; but a track that exists almost surely passe
 Two targets so close that they compete for two detections are overcounted by 0.11 on
 average, one target with three detections in reach by 0.56 (p_D 0.9 to 0.99, heavy
 clutter, 300 random scenes of `tests/test_cbmember.py` against brute force).
+`limits` has a table by P_D and clutter; `balance="claims"` takes the overcount away.
 
     >>> from jaxtrack import targets, trackers
     >>> trackers.cbmember.cbmember(targets.imm.imm(), max_tracks=16)._fields

@@ -33,6 +33,10 @@ log-evidence; and, for 40 scenes, how much the number changes with the order.
     CBMeMBer     0.11      0.21      0.17       0.11      0.14    (balance="claims")
 
 For one target at most CPHD is exact in both forms, and CBMeMBer in the product form.
+
+There both sensors see everything. Where their fields of view differ, the product form
+of PHD and CPHD multiplies what they say about the number without knowing where, and is
+far worse than the iterated one: see `scenarios.two_sensors`.
 """
 
 from collections.abc import Sequence
