@@ -84,6 +84,7 @@ def compare(
     pictures = write(out, plan, data, summary)
     Console(width=WIDTH).print(as_table(scenario, summary))
     warn(scenario, summary)
+    warn_limits(plan)
     shown = ", ".join(path.name for path in pictures)
     typer.echo(f"Wrote summary.json, result.nc, {shown} in {out}.")
     parts.discard(out, plan)
@@ -227,3 +228,35 @@ def warn(scenario: str, summary: dict[str, Any]) -> None:
                 f"Warning: {tracker} dropped {dropped:.2g} expected targets a scan, or "
                 f"parts of their mixtures, for want of room; raise {remedy} with --set."
             )
+
+
+def warn_limits(plan: "Plan") -> None:
+    """Says which CBMeMBer filters are asked for more than they bear, once for each.
+
+    A target is taken to be expected as well as it is measured.
+    """
+    import jax
+
+    from jaxtrack.entries import dense
+    from jaxtrack.trackers import limits
+
+    said: set[str] = set()
+    for job in plan.jobs:
+        world: Any = job.values[1]
+        sensor: Any = world.sensor
+        plain = hasattr(sensor, "cov") and not hasattr(sensor, "at")
+        if not plain or "cbmember" not in job.name or job.name in said:
+            continue
+        states = world.truth.state[world.truth.exists]
+        where, how_fast = (
+            states[:, list(index)]
+            for index in (world.motion.position_index, world.motion.velocity_index)
+        )
+        expected = jax.vmap(sensor.measure)(where, how_fast)
+        density = jax.numpy.exp(jax.vmap(world.clutter.log_density)(expected)).max()
+        best = jax.vmap(lambda x, w=world: w.detect.prob(0, x, 0.0))(states).max()
+        false = limits.false_in_gate(density, 2 * dense(sensor.cov()))
+        message = limits.warning(job.name, float(best), false)
+        if message is not None:
+            said.add(job.name)
+            common.say(f"Warning: {message}.")

@@ -14,6 +14,7 @@ Average OSPA in metres (order 2, cutoff 100 m) of 20 runs, seed 0, standard erro
             radar   position   radar first   position first   product
     PHD      51.6     48.6        25.3           26.4           48.7
     CPHD     48.8     50.2        27.3           26.9           55.3
+    CBMeMBer    43.2     42.2        22.6           22.1           15.4
 
 Both sensors together halve the error, and the order matters little. The product form is
 no better than one sensor alone here: what it says about the number of targets does not
