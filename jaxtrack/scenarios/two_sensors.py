@@ -14,12 +14,12 @@ Average OSPA in metres (order 2, cutoff 100 m) of 20 runs, seed 0, standard erro
             radar   position   radar first   position first   product
     PHD      51.6     48.6        25.3           26.4           48.7
     CPHD     48.8     50.2        27.3           26.9           55.3
-    CBMeMBer    43.2     42.2        22.6           22.1           15.4
+    CBMeMBer 43.2     42.2        22.6           22.1           15.4
 
-Both sensors together halve the error, and the order matters little. The product form is
-no better than one sensor alone here: what it says about the number of targets does not
-know where they are, and sensors with different fields of view disagree about it. Use it
-where all sensors see the same targets.
+Both sensors together halve the error, and the order matters little. The product form of
+PHD and CPHD is no better than one sensor alone here: what it says about the number of
+targets does not know where they are, and sensors with different fields of view disagree
+about it. That of CBMeMBer goes track by track and by claims, and is the best of all.
 
     >>> from jaxtrack.scenarios import two_sensors
     >>> made = two_sensors.make()
