@@ -165,9 +165,11 @@ def multinomial_index(key: Array, log_weight: Array, size: int, num: Any) -> Arr
 def residual_index(key: Array, log_weight: Array, size: int, num: Any) -> Array:
     """Returns which of P particles each new slot takes; see `systematic_index`."""
     share = mixture.normalise(jax.lax.stop_gradient(log_weight)) * num
-    whole = jnp.floor(share)
+    # A whole share may come out as just less, and no more than `num` may be whole.
+    whole = jnp.floor(share * (1 + 4 * jnp.finfo(share.dtype).eps))
+    whole = jnp.diff(jnp.minimum(jnp.cumsum(whole), num), prepend=0)
     rest = num - whole.sum()
-    cdf = jnp.cumsum(share - whole)
+    cdf = jnp.cumsum(jnp.maximum(share - whole, 0.0))
     cdf = cdf / jnp.where(cdf[-1] > 0, cdf[-1], 1.0)
     drawn = _search(cdf, _ordered(key, size, rest, share.dtype))
     more = jnp.zeros_like(share).at[drawn].add(jnp.arange(size) < rest)

@@ -62,7 +62,7 @@ def _resample(
 ) -> Particles:
     """Carries to the places of particles that are picked evenly."""
     log_weight = mixture.log_normalise(particles.log_weight)
-    filled = log_weight > -jnp.inf
+    filled = particles.log_weight > -jnp.inf
     equal = resampling.even(filled, log_weight.dtype)
     index = resampling.systematic_index(key, equal, size, num)
     mode = particles.mode[index]
@@ -81,7 +81,8 @@ def _resample(
     plan = _plan(epsilon, num_steps, log_weight, log_slot, cost)
     state = jnp.matmul(plan.T, particles.state, precision=jax.lax.Precision.HIGHEST)
     state = jnp.where(there[:, None], state, particles.state[index])
-    return Particles(mixture.log_normalise(log_slot), state, mode)
+    log_new = jnp.where(filled.any(), mixture.log_normalise(log_slot), -jnp.inf)
+    return Particles(log_new, state, mode)
 
 
 def _cost(weight: Array, state: Array, place: Array) -> Array:

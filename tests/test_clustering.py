@@ -63,9 +63,9 @@ def test_the_report_of_one_gaussian_a_target_is_each_component():
     cov = np.tile(np.diag([4.0, 1.0]), (4, 1, 1))
     log_weight = np.log(np.array([0.9, 0.8, 0.7, 1e-12]))
     log_weight[3] = -np.inf
-    some = intensity.Components(log_weight, Gaussian(mean, cov), np.arange(7, 11))
+    some = intensity.Components(log_weight, Gaussian(mean, cov), jnp.arange(7, 11))
     rest = 2.0, -1.0, 0.0, 20
-    told, label = clustering.report(single.single(), (0,), some, 3, *rest)
+    _, told, label = clustering.report(single.single(), (0,), some, 3, *rest)
     order = np.argsort(np.array(told.label)[np.array(told.exists)])
     there = np.flatnonzero(told.exists)[order]
     assert label == 20

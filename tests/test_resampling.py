@@ -122,7 +122,7 @@ def test_one_that_is_alive_is_all_there_is(name, dtype):
 @every_scheme
 def test_nobody_stays_nobody(name):
     _, new = drawn(name, np.full(8, -np.inf))
-    assert not np.isnan(new.log_weight).any()
+    assert np.isneginf(new.log_weight).all()
     assert np.isfinite(new.state).all()
 
 
@@ -195,3 +195,13 @@ def test_effective_size_counts_equal_weights():
 def test_settings_are_checked(make, word):
     with pytest.raises(ValueError, match=word):
         make()
+
+
+@pytest.mark.parametrize("num", [10, 49, 500, 1000])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_residual_keeps_everybody_where_all_weigh_the_same(num, dtype):
+    """Whole parts of exactly one, which rounding must not turn into chance."""
+    index = resampling.residual_index(
+        jax.random.key(0), jnp.full(num, -3.0, dtype), num, num
+    )
+    np.testing.assert_array_equal(index, np.arange(num))

@@ -56,8 +56,9 @@ def numbers_chart(dataset: "xarray.Dataset", setting: int = 0) -> Figure:
             axes.fill_between(time, mean - std, mean + std, label=label, **band)
             axes.set(title=str(name), ylim=(0, None))
             axes.margins(x=0.01)
-        for axes in grid[-1]:
+        for axes in grid.flat[max(len(names) - columns, 0) : len(names)]:
             axes.set_xlabel("time (s)")
+            axes.tick_params(labelbottom=True)
         for axes in grid[:, 0]:
             axes.set_ylabel("targets")
         handles, _ = grid[0, 0].get_legend_handles_labels()

@@ -43,7 +43,7 @@ from jaxtrack.linearize import Method
 from jaxtrack.models.sensor import untimed
 from jaxtrack.targets import blending, cloud_motion, cloud_views, clouds
 from jaxtrack.targets.clouds import Belief
-from jaxtrack.types import Array, Gaussian
+from jaxtrack.types import Array, Gaussian, Mixture
 
 
 class Line(NamedTuple):
@@ -205,6 +205,12 @@ def moments(belief: Belief) -> Gaussian:
     prob = particle.mode_prob(belief.particles, len(belief.root))
     waiting = belief.root @ jnp.swapaxes(belief.root, 1, 2)
     return drawn._replace(cov=drawn.cov + (prob[:, None, None] * waiting).sum(0))
+
+
+def parts(belief: Belief) -> Mixture:
+    """Returns the particles with the covariance of the noise that is not drawn yet."""
+    waiting = belief.root @ jnp.swapaxes(belief.root, 1, 2)
+    return Mixture(belief.log_weight, belief.state, waiting[belief.mode])
 
 
 def settle(key: Array, belief: Belief) -> Belief:

@@ -114,13 +114,12 @@ def particles(
     if not 1 <= least <= max_particles:
         raise ValueError(
             f"min_particles is {least} and max_particles is {max_particles}; give at "
-            "least 1, and no fewer at most than at least"
+            "least 1, and max_particles no less than min_particles"
         )
     clouds.check(ess_threshold)
     if num_moves < 0 or (num_moves > 0 and proposal is not None):
-        raise ValueError(
-            f"num_moves is {num_moves}; give 0 or more, and 0 where a proposal is given"
-        )
+        message = f"num_moves is {num_moves}; give 0 or more, and 0 with a proposal"
+        raise ValueError(message)
     settings = Settings(
         *(max_particles, least, scheme, ess_threshold),
         *(regularise, num_moves, proposal, mode_proposal),
@@ -143,7 +142,7 @@ def _made(settings: Settings) -> Target:
         blend=_blend,
         adapt=functools.partial(_adapt, settings),
         moments=lambda belief: particle.moments(belief.particles),
-        parts=clouds.parts,
+        parts=cloud_proposals.parts if settings.proposal else clouds.parts,
         modes=lambda belief: particle.mode_prob(belief.particles, len(belief.root)),
         lost=lambda belief: jnp.zeros((), belief.state.dtype),
         effective_size=lambda belief: belief.effective_size,
@@ -212,14 +211,17 @@ def _predict(
 ) -> tuple[Belief, Array]:
     """Equations 15 to 17: survive, resample where needed, switch, move."""
     following, keys = clouds.split(belief.key, 5)
-    survive = clouds.prob(params.survive, belief, interval)
-    belief, log_survive = clouds.reweighted(belief, safe_log(survive))
-    belief = clouds.renewed(settings.scheme, settings.ess_threshold, belief, keys[0])
     if settings.proposal is not None:
         belief = cloud_proposals.settle(keys[4], belief)
+    # A pool of several beliefs may have been drawn from few particles before.
+    few = belief.effective_size < settings.ess_threshold * belief.num
+    survive = clouds.prob(params.survive, belief, interval)
+    belief, log_survive = clouds.reweighted(belief, safe_log(survive))
+    few = few | (belief.effective_size < settings.ess_threshold * belief.num)
+    belief = clouds.renewed(settings.scheme, settings.ess_threshold, belief, keys[0])
     if settings.regularise:
         apart = particle.regularise(keys[1], belief.particles, len(params.motions))
-        belief = belief._replace(state=apart.state)
+        belief = belief._replace(state=jnp.where(few, apart.state, belief.state))
     belief = cloud_motion.switch(
         settings.mode_proposal, params, belief, interval, keys[2]
     )

@@ -92,7 +92,7 @@ def report(
     log_evidence: Array,
     dropped: Array,
     next_label: Array,
-) -> tuple[Estimate, Array]:
+) -> tuple[Components, Estimate, Array]:
     """Reports the centres of clusters, each under the label that most of it has.
 
     Args:
@@ -106,7 +106,7 @@ def report(
         next_label: The first free label.
 
     Returns:
-        The estimate, and the next free label.
+        The components, some under a new label, the estimate, and the next free label.
     """
     size = components.log_weight.size
     count = jnp.minimum(count, size)
@@ -118,20 +118,19 @@ def report(
     cluster = kmeans(pool.log_weight, pool.mean[:, jnp.array(where)], count, size)
     joined = mixture.merge_clusters(pool, cluster, size)
 
-    # Whose is it? weight of component n in cluster c, [C, N]
+    # Whose is it? weight of component n in cluster c, [C, N]; the heaviest come first.
     own = cluster.reshape(size, -1)[None] == jnp.arange(size)[:, None, None]
     part = jnp.where(own, jnp.exp(log_weight)[None], 0.0).sum(2)
+    order = jnp.argsort(-part.sum(1))
+    part, joined = part[order], jax.tree.map(lambda x: x[order], joined)
     total = part.sum(1)
-    whole = jnp.where(total > 0, total, 1.0)[:, None]
-    slot = jnp.argmax(part, axis=1)
-    exists = total > 0
-    label = components.label[slot]
-    again = repeats(label, exists, jnp.arange(size))
-    fresh = next_label + jnp.cumsum(again) - 1
+    slot, exists = jnp.argmax(part, axis=1), total > 0
+    shown, renamed, next_label = _tell_apart(components.label, slot, exists, next_label)
+    whole = jnp.where(exists, total, 1.0)[:, None]
     estimate = Estimate(
         mean=joined.mean,
         cov=joined.cov,
-        label=jnp.where(again, fresh, label),
+        label=shown,
         exists=exists,
         existence_prob=jnp.minimum(total, 1.0),
         mode_prob=part / whole @ jax.vmap(target.modes)(components.belief),
@@ -141,7 +140,23 @@ def report(
         log_evidence=log_evidence,
         dropped=dropped,
     )
-    return estimate, next_label + again.sum()
+    return components._replace(label=renamed), estimate, next_label
+
+
+def _tell_apart(
+    label: Array, slot: Array, exists: Array, next_label: Array
+) -> tuple[Array, Array, Array]:
+    """Gives a cluster whose label a heavier one has a new one, and its component, too.
+
+    Returns the labels of the clusters, of the components, and the next free label.
+    """
+    rank = jnp.arange(slot.size)
+    again = repeats(label[slot], exists, rank)
+    fresh = next_label + jnp.cumsum(again) - 1
+    shown = jnp.where(again, fresh, label[slot])
+    theirs = again & ~repeats(slot, exists, rank)
+    renamed = label.at[jnp.where(theirs, slot, slot.size)].set(fresh, mode="drop")
+    return shown, renamed, next_label + again.sum()
 
 
 def _square(place: Array, centre: Array) -> Array:

@@ -79,7 +79,8 @@ class Estimate(NamedTuple):
         num_mean: Expected number of targets.
         num_var: Variance of the number of targets.
         log_evidence: Log-density of the scan given the past.
-        dropped: Expected number of targets that the capacities threw away.
+        dropped: Expected number of targets that the capacities threw away, and the
+            probability that there are more than `max_targets`.
         cardinality_prob: Probability of every number of targets, [max_targets + 1].
     """
 
@@ -154,8 +155,11 @@ def cphd(
     reduction.check_births(max_births)
     if max_targets < 1:
         raise ValueError(f"max_targets is {max_targets}; give at least 1")
-    if report_threshold is not None:
-        extraction.check(report_threshold)
+    if report_threshold is not None and not 0 <= report_threshold < 1:
+        raise ValueError(
+            f"report_threshold is {report_threshold}; give a probability from 0 up to "
+            "1, e.g. 0.5, or None"
+        )
     clustering.check(extract)
     settings = Settings(
         target, size, max_targets, max_births, report_threshold, extract
@@ -201,6 +205,7 @@ def _step(
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
+    components = intensity.scaled(components, cardinality.mean(log_number))
     components, estimate, label = _report(
         settings, params, components, log_number, label, posterior.log_evidence, dropped
     )
@@ -237,10 +242,7 @@ def _report(
     told = cardinality.variance(log_number), log_evidence, dropped
     if settings.extract == "clusters":
         where = params.target.layout.position_index
-        estimate, label = clustering.report(
-            target, where, components, count, *told, label
-        )
-        return components, estimate, label
+        return clustering.report(target, where, components, count, *told, label)
     picked = extraction.heaviest(components, count)
     components, shown, label = extraction.tell_apart(components, picked, label)
     return (

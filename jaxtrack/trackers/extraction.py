@@ -1,7 +1,7 @@
 """Which components of an intensity to report, how often, and under which labels.
 
 A component that stands for w targets is reported as often as the whole number nearest
-to w, each time with an equal share of w.
+to w, but at most `COPIES` times, each time with an equal share of w.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import extraction
@@ -54,7 +54,8 @@ def check(report_threshold: float) -> None:
 def above(components: Components, threshold: float) -> Picked:
     """Reports what stands for more than so many targets, and each further one."""
     slot, copy, share = _copies(components)
-    return Picked(slot, copy, share, share > threshold)
+    weight = jnp.exp(components.log_weight)[slot]
+    return Picked(slot, copy, share, (weight > threshold) & (share > 0))
 
 
 def heaviest(components: Components, count: Array) -> Picked:
@@ -65,13 +66,17 @@ def heaviest(components: Components, count: Array) -> Picked:
 
 
 def _copies(components: Components) -> tuple[Array, Array, Array]:
-    """Returns component, copy and its share, the greatest first, each [N]."""
+    """Returns component, copy and its share, each [N], the greatest first.
+
+    A first copy counts as its whole component, further ones as their share.
+    """
     weight = jnp.exp(components.log_weight)
     copies = jnp.clip(jnp.round(weight), 1, COPIES)
     there = jnp.arange(COPIES)[None] < copies[:, None]
     share = jnp.where(there, (weight / copies)[:, None], 0.0)
-    greatest, index = jax.lax.top_k(share.ravel(), weight.size)
-    return index // COPIES, index % COPIES, greatest
+    rank = share.at[:, 0].set(weight)
+    _, index = jax.lax.top_k(rank.ravel(), weight.size)
+    return index // COPIES, index % COPIES, share.ravel()[index]
 
 
 def tell_apart(

@@ -196,6 +196,14 @@ def append(components: Components, born: Components) -> Components:
     return jax.tree.map(lambda old, new: jnp.concatenate([old, new]), components, born)
 
 
+def scaled(components: Components, num_mean: Array) -> Components:
+    """Scales the weights so that they add up to an expected number, if to any."""
+    expected = components.expected
+    some = (expected > 0) & (num_mean > 0)
+    factor = jnp.where(some, num_mean, 1.0) / jnp.where(some, expected, 1.0)
+    return components._replace(log_weight=components.log_weight + jnp.log(factor))
+
+
 def see(target: Target, params: Params, components: Components, scan: Scan) -> Sighting:
     """Asks each component what it thinks of a scan.
 
@@ -207,7 +215,7 @@ def see(target: Target, params: Params, components: Components, scan: Scan) -> S
 
     Returns:
         What the update needs. An invalid detection has score and clutter -inf and 0;
-        where no clutter can be, a detection costs e^-200 instead of being impossible.
+        where no clutter or no miss can be, it costs e^-200 instead of being impossible.
     """
     missed, log_miss = jax.vmap(target.miss, (None, 0))(
         params.target, components.belief
@@ -221,7 +229,7 @@ def see(target: Target, params: Params, components: Components, scan: Scan) -> S
         missed=missed,
         views=views,
         log_weight=components.log_weight,
-        log_miss=log_miss,
+        log_miss=jnp.maximum(log_miss, LEAST_LOG_WEIGHT),
         log_score=jnp.where(scan.valid[None], score, -jnp.inf),
         log_clutter=jnp.where(scan.valid, jnp.maximum(clutter, LEAST_LOG_WEIGHT), 0.0),
     )

@@ -88,7 +88,7 @@ def phd(
         prune_threshold: Components of smaller weight go.
         merge_threshold: Squared Mahalanobis distance within which components merge.
         report_threshold: A component that stands for more targets is reported, and for
-            each further target once more.
+            each further target once more, three times at most.
         partition: "pairs" or "detections": what makes a corrected component.
         max_parents: Components that may share in one, where they merge or where it is
             made of all that a detection corrects.
@@ -174,10 +174,7 @@ def _report(
     told = num, log_evidence, dropped  # the variance of a Poisson number is its mean
     if settings.extract == "clusters":
         where, count = params.target.layout.position_index, jnp.round(num)
-        estimate, label = clustering.report(
-            target, where, components, count, *told, label
-        )
-        return components, estimate, label
+        return clustering.report(target, where, components, count, *told, label)
     picked = extraction.above(components, settings.report_threshold)
     components, shown, label = extraction.tell_apart(components, picked, label)
     return (

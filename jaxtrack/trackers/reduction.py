@@ -112,11 +112,15 @@ def reduce(
 
     Returns:
         `max_components` components, heaviest first, and the expected number of targets
-        that found no room.
+        that were pruned or found no room.
     """
     light = jnp.log(jnp.asarray(size.prune_threshold, update.log_missed.dtype))
     log_missed, log_hit = (
         jnp.where(x >= light, x, -jnp.inf) for x in (update.log_missed, update.log_hit)
+    )
+    pruned = sum(
+        jnp.where(x < light, jnp.exp(x), 0.0).sum()
+        for x in (update.log_missed, update.log_hit)
     )
     missed = Components(log_missed, update.missed, label)
     correct = by_pair if size.partition == "pairs" else by_detection
@@ -125,7 +129,8 @@ def reduce(
     exists = jnp.minimum(jnp.exp(kept.log_weight), 1.0)
     belief = jax.vmap(target.adapt, (None, 0, 0))(params, kept.belief, exists)
     shrunk = jnp.exp(kept.log_weight) * jax.vmap(target.lost)(kept.belief)
-    return kept._replace(belief=belief), unmade + lost + shrunk.sum()
+    dropped = pruned + unmade + lost + shrunk.sum()
+    return kept._replace(belief=belief), dropped
 
 
 def by_pair(
@@ -179,8 +184,11 @@ def by_detection(
     belief, ancestor, lost = jax.vmap(absorb)(
         log_hit[:, detection].T, scan.detections[detection]
     )
+    # What the beliefs themselves lost goes on with them, and is counted there.
+    own = jax.vmap(target.lost)(belief)
+    left = jnp.where(own < 1, (lost - own) / jnp.where(own < 1, 1 - own, 1.0), 0.0)
     weight = jnp.exp(log_weight)
-    unmade = jnp.exp(log_hit).sum() - weight.sum() + (weight * lost).sum()
+    unmade = jnp.exp(log_hit).sum() - weight.sum() + (weight * left).sum()
     return Components(log_weight, belief, label[ancestor]), jnp.maximum(unmade, 0.0)
 
 

@@ -182,6 +182,8 @@ def _report(
     """Finds what to report, and under which labels."""
     components, threshold = taught.components, settings.report_threshold
     if settings.counts:
+        mean = cardinality.mean(taught.log_number)
+        components = intensity.scaled(components, mean)
         count = cphd.count_reported(taught.log_number, threshold)
         picked = extraction.heaviest(components, count)
         num_var = cardinality.variance(taught.log_number)

@@ -138,7 +138,6 @@ def one_mode_case():
 
 
 MERGING = mixture.mixture(max_components=6, prune_threshold=0.0, merge_threshold=1.0)
-FEW = particles.particles(max_particles=60, mode_proposal=lambda x: x / 2)
 FEW = particles.particles(max_particles=60, mode_proposal=lambda x: x / 2 - 1)
 CASES = {
     "single_kf": kf_case,
