@@ -43,7 +43,7 @@ MOTIONS = (
 )
 
 # A CPHD filter that waits until one more target is likelier than not reports a newborn
-# late; see the page of the reproduction.
+# late; see docs/yuan2013.md.
 COUNT_THRESHOLD = 0.25
 
 
