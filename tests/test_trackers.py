@@ -36,8 +36,8 @@ NAMES = [
     pytest.param(name, marks=[pytest.mark.slow] if name in SECOND_VARIANTS else [])
     for name in CASES
 ]
-# A roomy tracker that merges takes into its tracks what a tight one has dropped, and the
-# weights of a CPHD filter add up to its expected number, whatever was dropped.
+# A roomy tracker that merges takes into its tracks what a tight one has dropped, and a
+# CPHD filter's weights add up to its expected number, whatever was dropped.
 ELASTIC = {"cbmember_merging", "cphd_imm", "cphd_detection_birth"}
 EQUAL_BIRTHS = {
     "cbmember_detection_birth",
