@@ -2,7 +2,8 @@
 
 Scans of `crossing-many` around the time when all targets meet: with 2 to 200 targets
 among few false detections, and with 10 targets among more and more. Not in
-`make bench`: compiling all of it takes more than ten minutes. It writes
+`make bench`: compiling all of it takes half an hour. JPDA* and set JPDA, which go
+through events one by one, are not for crowds and left out. It writes
 `results/crowds.json` and `results/crowds.png`.
 """
 
@@ -17,7 +18,7 @@ from benchmarks.common import Job, Row, Size
 from jaxtrack import engine, scenarios
 
 KIND = "float32"
-TRACKERS = "gnn", "jpda", "jpda-bp", "jipda", "cbmember"
+TRACKERS = "nn", "gnn", "pda", "ipda", "jpda", "jpda-bp", "jipda", "cbmember"
 TARGETS, FEW_FALSE = (2, 20, 200), 10
 FALSE, FEW_TARGETS = (5, 80), 10
 RUNS, SCANS, MIDDLE = 4, 6, 27  # scans from one before all meet
