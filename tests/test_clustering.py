@@ -103,5 +103,6 @@ def test_clusters_are_where_the_components_are(maker, target):
                 np.sort(np.array(x.mean[t, np.array(x.exists[t]), 0]))
                 for x in (one, other)
             )
-            np.testing.assert_allclose(centre, place, atol=3.0)  # m, noise 1.2 m
+            # Metres: a cluster takes in what light components lie about (noise 1.2 m).
+            np.testing.assert_allclose(centre, place, atol=3.0)
     assert (one.exists.sum(1) == other.exists.sum(1)).sum() >= 4

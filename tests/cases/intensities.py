@@ -164,7 +164,8 @@ def check_weights(name, scene, found, missed, hits):
         expected[part[0]] += weight
     valid = scene.scan.valid
     weights = np.column_stack([found.log_missed, found.log_hit[:, valid]])
-    # Absolute: what cannot be is zero but for the plain filter's rounding.
+    # An absolute bound, too: what is impossible is exactly zero here, and zero but for
+    # the rounding of sums of about one in the plain filter.
     np.testing.assert_allclose(np.exp(weights), expected, rtol=1e-10, atol=1e-14)
     assert np.isneginf(found.log_hit[:, ~valid]).all()
 
@@ -187,8 +188,7 @@ def check_beliefs(name, scene, found, corrected, missed, hits):
             np.testing.assert_allclose(beliefs_found.cov[place], P, rtol=1e-9)
             if len(part) > 1:
                 share = np.exp(beliefs_found.log_weight[place])
-                # Absolute: shares add up to one.
-                np.testing.assert_allclose(share, w / totals[part[0]], atol=1e-10)
+                np.testing.assert_allclose(share, w / totals[part[0]], rtol=1e-9)
 
 
 def by_enumeration(scene, p):
