@@ -1,0 +1,178 @@
+"""Dual decomposition: one assignment for each scan, which must agree on the leaves.
+
+Every scan has its own copy of the selection, in which only its own detections are kept
+apart: an assignment of trees to detections in two dimensions, in which each tree and
+detection is represented by its best leaf. The scores are shared out over the copies,
+by multipliers that move until the copies agree (equations 36 to 46). What all copies
+agree on is kept, and other trees choose among the leaves that are left.
+
+The least bound is the value of the linear relaxation (`relax`), as for `lagrangian`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.assign.multiscan import decomposition, problem
+    >>> log_score = jnp.array([[3.0, 0.0], [5.0, 4.0]])
+    >>> detection = jnp.array([[[0, 1], [-1, -1]], [[0, 0], [-1, -1]]])
+    >>> given = problem.Problem(log_score, detection)
+    >>> found = decomposition.decomposition(given, num_detections=2)
+    >>> print(found.leaf, found.log_score, jnp.round(found.log_bound, 3))
+    [0 1] 7.0 7.0
+
+Unlike the paper, trees on which the copies differ are not given leaves by branch and
+bound but by `greedy`, in the order of what they have to lose.
+
+References: Xia, Granstrom, Svensson, Garcia-Fernandez and Williams, "Multiscan
+implementation of the trajectory Poisson multi-Bernoulli mixture filter", Journal of
+Advances in Information Fusion 14(2), 2019, section V.C; Lau and Williams,
+"Multidimensional assignment by dual decomposition", ISSNIP, 2011.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.assign.best import best
+from jaxtrack.assign.multiscan import greedy
+from jaxtrack.assign.multiscan.lagrangian import PATIENCE, SHORTER
+from jaxtrack.assign.multiscan.problem import Answer, Problem, answer
+from jaxtrack.assign.multiscan.slots import (
+    Slots,
+    after_paying,
+    flat,
+    gained,
+    judge,
+    leaves_in,
+    scan_matrix,
+    slots,
+)
+from jaxtrack.types import Array
+
+
+class _State(NamedTuple):
+    """Where the rounds stand.
+
+    Attributes:
+        multiplier: What each copy adds to a leaf's share of its score, [S, N, L]; over
+            copies they sum to zero.
+        limit: Least bound so far.
+        price: Of detections in their own scans' assignments, at that bound, [S, K].
+        leaf: Best selection so far, [N].
+        score: Its score; -inf if none is known.
+        length: Of steps, relative to Polyak's.
+        stale: Rounds since the bound fell.
+        count: Rounds.
+    """
+
+    multiplier: Array
+    limit: Array
+    price: Array
+    leaf: Array
+    score: Array
+    length: Array
+    stale: Array
+    count: Array
+
+
+def decomposition(
+    problem: Problem,
+    num_detections: int,
+    max_rounds: int = 100,
+    tolerance: float = 1e-6,
+) -> Answer:
+    """Moves multipliers until the scans agree, or there are no rounds left.
+
+    The gradient of `log_score` is that of the chosen scores; the rest is constant.
+
+    Args:
+        problem: [N, L] and [N, L, S].
+        num_detections: K, detections of a scan at most.
+        max_rounds: Rounds at most.
+        tolerance: Gap, in the unit of the scores, that ends the search.
+
+    Raises:
+        ValueError: There is no round.
+    """
+    if max_rounds < 1:
+        raise ValueError(f"max_rounds is {max_rounds}; give at least 1")
+    given = slots(*jax.lax.stop_gradient(problem), num_detections)
+
+    def more(state: _State) -> Array:
+        return (state.limit - state.score > tolerance) & (state.count < max_rounds)
+
+    state = jax.lax.while_loop(
+        more,
+        lambda state: _round(given, num_detections, state),
+        _start(given, num_detections),
+    )
+    return answer(problem, state.leaf, state.price)
+
+
+def _start(given: Slots, num_detections: int) -> _State:
+    num_trees, num_leaves, num_scans = given.place.shape
+    kind = given.log_score.dtype
+    price = jnp.zeros((num_scans, num_detections), kind)
+    leaf = jnp.full(num_trees, -1, jnp.int32)
+    zero, one, count = jnp.zeros((), kind), jnp.ones((), kind), jnp.zeros((), jnp.int32)
+    return _State(
+        multiplier=jnp.zeros((num_scans, num_trees, num_leaves), kind),
+        limit=zero + jnp.inf,
+        price=price,
+        leaf=leaf,
+        score=judge(given, leaf, flat(price).size)[0],
+        length=one,
+        stale=count,
+        count=count,
+    )
+
+
+def _round(given: Slots, num_detections: int, state: _State) -> _State:
+    """Solves all copies, recovers a selection, and moves the multipliers."""
+    wish, value, price = _copies(given, num_detections, state.multiplier)
+    table = flat(price)
+    agreed = jnp.where(given.there & (wish == wish[:1]).all(0), wish[0], -1)
+    leaf = greedy.choose(given, after_paying(given, table), table.size, agreed)
+    leaf = greedy.choose_again(given, leaf, table.size, 1)
+    score = judge(given, leaf, table.size)[0]
+    better, best_score = score > state.score, jnp.maximum(score, state.score)
+    limit = gained(given, table)
+    nearer = limit < state.limit
+    stale = jnp.where(nearer, 0, state.stale + 1)
+    tired = stale >= PATIENCE
+    length = jnp.where(tired, SHORTER * state.length, state.length)
+
+    leaves = jnp.arange(given.log_score.shape[1])
+    copy = (wish[..., None] == leaves[None, None]) & given.there[None, :, None]
+    copy = copy.astype(value.dtype)
+    apart = copy - copy.mean(0)[None]
+    norm = jnp.maximum((apart * apart).sum(), 1.0)  # copies that differ have 1 or more
+    largest = jnp.where(given.log_score > -jnp.inf, jnp.abs(given.log_score), 0.0).max()
+    target = jnp.where(best_score > -jnp.inf, best_score, value - largest)
+    step = length * jnp.where(value > -jnp.inf, value - target, 0.0) / norm
+    return _State(
+        multiplier=state.multiplier - step * apart,
+        limit=jnp.where(value > -jnp.inf, jnp.minimum(limit, state.limit), -jnp.inf),
+        price=jnp.where(nearer, price, state.price),
+        leaf=jnp.where(better, leaf, state.leaf),
+        score=best_score,
+        length=length,
+        stale=jnp.where(tired, 0, stale),
+        count=state.count + 1,
+    )
+
+
+def _copies(
+    given: Slots, num_detections: int, multiplier: Array
+) -> tuple[Array, Array, Array]:
+    """Solves each scan's assignment: leaves [S, N], their value, and prices [S, K]."""
+    num_scans = given.place.shape[-1]
+    worth = given.log_score[None] / num_scans + multiplier
+    matrix = jnp.stack(
+        [scan_matrix(given, w, num_detections, s) for s, w in enumerate(worth)]
+    )
+    found = jax.vmap(best)(matrix)
+    leaf = [
+        leaves_in(given, w, num_detections, s, found.column[s])
+        for s, w in enumerate(worth)
+    ]
+    price = jnp.where(found.feasible.all(), found.detection_price, 0.0)
+    return jnp.stack(leaf).astype(jnp.int32), found.log_score.sum(), price
