@@ -46,6 +46,17 @@ def test_events_are_the_best_in_order_and_each_comes_once(shape, rounded):
         np.testing.assert_allclose(totals, expected, atol=1e-12)
 
 
+def test_a_long_list_is_complete_and_in_order():
+    log_score = draw((5, 6), rounded=False, count=4)
+    long = jax.jit(jax.vmap(lambda x: k_best.k_best(x, 300)))(jnp.asarray(log_score))
+    for one, totals, fits in zip(log_score, long.log_score, long.feasible, strict=True):
+        listed = sorted((total for _, total in reference.events(one)), reverse=True)
+        expected = listed[:300]
+        assert fits.sum() == len(expected)
+        # Sums of scores of order one.
+        np.testing.assert_allclose(totals[: len(expected)], expected, atol=1e-12)
+
+
 def test_gradient_is_that_of_the_chosen_scores():
     log_score = jnp.asarray(draw((4, 3), rounded=False)[1])
     column = k_best.k_best(log_score, 3).column

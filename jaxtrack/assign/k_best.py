@@ -25,8 +25,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.assign import detours
 from jaxtrack.assign.best import best
 from jaxtrack.types import Array
+
+NEARLY = 100.0  # rounding errors of a sum
 
 
 class KBest(NamedTuple):
@@ -49,12 +52,14 @@ class _Queue(NamedTuple):
 
     Attributes:
         column: [k, N].
+        price: Prices of the detections in that event, see `detours.Event`, [k, K].
         log_score: [k].
         pivot: The first track that is not fixed, [k].
         barred: Columns that the pivot may not take, [k, K + 1] (bool).
     """
 
     column: Array
+    price: Array
     log_score: Array
     pivot: Array
     barred: Array
@@ -64,8 +69,8 @@ def k_best(log_score: Array, k: int) -> KBest:
     """Finds the k joint events with the largest sums of scores, exactly.
 
     Events of equal weight come in an order that is always the same. The gradient of
-    `log_score` is that of the chosen scores. The work is that of k N calls of `best`,
-    N of them side by side.
+    `log_score` is that of the chosen scores. The work is that of `best` and of k N short
+    searches, N of them side by side (see `jaxtrack.assign.detours`).
 
     Args:
         log_score: [N, K + 1], the miss last, -inf where impossible.
@@ -81,16 +86,18 @@ def k_best(log_score: Array, k: int) -> KBest:
     first = best(fixed)
     queue = _Queue(
         column=jnp.broadcast_to(first.column, (k, num_tracks)),
+        price=jnp.broadcast_to(-first.detection_price, (k, num_columns - 1)),
         log_score=jnp.full(k, -jnp.inf, fixed.dtype).at[0].set(first.log_score),
         pivot=jnp.zeros(k, int),
         barred=jnp.zeros((k, num_columns), bool),
     )
 
-    def pop(queue: _Queue, _: None) -> tuple[_Queue, tuple[Array, Array]]:
+    def pop(queue: _Queue, wanted: Array) -> tuple[_Queue, tuple[Array, Array]]:
         out = queue.column[0], queue.log_score[0]
-        return _cut_up(fixed, queue), out
+        return _cut_up(fixed, queue, queue.log_score[wanted]), out
 
-    queue, earlier = jax.lax.scan(pop, queue, length=k - 1)
+    left = jnp.arange(k - 1, 0, -1)  # events that are wanted beside this one
+    queue, earlier = jax.lax.scan(pop, queue, left)
     column = jnp.concatenate([earlier[0], queue.column[:1]])
     feasible = jnp.concatenate([earlier[1], queue.log_score[:1]]) > -jnp.inf
     chosen = jnp.take_along_axis(log_score, column.T, axis=1)  # [N, k]
@@ -98,24 +105,33 @@ def k_best(log_score: Array, k: int) -> KBest:
     return KBest(column, jnp.where(feasible, total, -jnp.inf), feasible)
 
 
-def _cut_up(log_score: Array, queue: _Queue) -> _Queue:
-    """Takes the best part out of the queue and puts the parts of its rest in."""
+def _cut_up(log_score: Array, queue: _Queue, least: Array) -> _Queue:
+    """Takes the best part out of the queue and puts the parts of its rest in.
+
+    Args:
+        log_score: [N, K + 1].
+        queue: What waits.
+        least: Events of less weight are not wanted.
+    """
     num_tracks, num_columns = log_score.shape
-    column, total, pivot, barred = (x[0] for x in queue)
+    column, price, total, pivot, barred = (x[0] for x in queue)
     track = jnp.arange(num_tracks)
-    taken = column[:, None] == jnp.arange(num_columns)[None]  # [N, K + 1]
-    barred = taken | (barred[None] & (track == pivot)[:, None])
+    barred = (barred[None] & (track == pivot)[:, None]) | (track < pivot)[:, None]
+    cost = jnp.where(log_score < jnp.inf, -log_score, jnp.inf)
+    # Rounding must not lose an event that is just as good as the least.
+    slack = NEARLY * jnp.finfo(cost.dtype).eps * jnp.abs(total)
+    event = detours.Event(column, price)
+    found = detours.detours(cost, event, barred, total - least + slack)
 
-    def part(track_cut: Array) -> tuple[Array, Array]:
-        before, here = track < track_cut, track == track_cut
-        out = (before[:, None] & ~taken) | (here[:, None] & barred)
-        found = best(jnp.where(out, -jnp.inf, log_score))
-        # No part of an event's rest is better; rounding might say so.
-        least = jnp.minimum(found.log_score, total)
-        return found.column, jnp.where(track_cut < pivot, -jnp.inf, least)
-
-    columns, totals = jax.vmap(part)(track)
-    parts = _Queue(columns, totals, track.astype(pivot.dtype), barred)
+    log_scores = jnp.where(total > -jnp.inf, total - found.loss, -jnp.inf)
+    taken = column[:, None] == jnp.arange(num_columns)[None]
+    parts = _Queue(
+        column=found.column,
+        price=found.price,
+        log_score=log_scores,
+        pivot=track.astype(pivot.dtype),
+        barred=taken | barred,
+    )
     rest = queue._replace(log_score=queue.log_score.at[0].set(-jnp.inf))
     both = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), rest, parts)
     kept = jax.lax.top_k(both.log_score, queue.log_score.size)[1]

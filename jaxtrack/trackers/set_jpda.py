@@ -135,8 +135,7 @@ def _shares(events: Events, taker: Array, num_columns: int) -> Array:
     """Returns how likely each place is taken by each track with each column."""
     num = taker.shape[1]
     column = jnp.take_along_axis(events.column, taker, axis=1)  # [E, N]
-    by_track = taker[:, :, None] == jnp.arange(num)[None, None]
-    by_column = column[:, :, None] == jnp.arange(num_columns)[None, None]
-    both = by_track[:, :, :, None] & by_column[:, :, None, :]
-    prob = jnp.exp(events.log_prob)[:, None, None, None]
-    return jnp.where(both, prob, 0.0).sum(0)
+    prob = jnp.broadcast_to(jnp.exp(events.log_prob)[:, None], column.shape)
+    place = jnp.arange(num)[None]
+    none = jnp.zeros((num, num, num_columns), prob.dtype)
+    return none.at[place, taker, column].add(prob)
