@@ -68,6 +68,49 @@ def validate(
     return Gates((square <= limit) & scan.valid[None], volume)
 
 
+def scores(
+    target: Target,
+    params: Any,
+    views: PyTree,
+    log_miss: Array,
+    scan: Scan,
+    max_scored: int | None = None,
+) -> Array:
+    """Returns log-densities of detections, times that of detection, [N, K].
+
+    Args:
+        target: How one target is filtered.
+        params: The target's `Params`.
+        views: N tracks as the sensor sees them, [N, ...].
+        log_miss: Log-probability that a target of each track is missed, [N].
+        scan: K detections.
+        max_scored: Detections that each track scores itself, the nearest; for the
+            others, far away, stands a Gaussian with the moments of what it expects.
+            None for all.
+    """
+    score = jax.vmap(target.score, (None, 0, None))
+    if max_scored is None or len(scan.detections) <= max_scored:
+        return score(params, views, scan.detections)
+
+    def near(view: PyTree, log_miss: Array) -> Array:
+        square, log_det = target.distance(params, view, scan.detections)
+        unit = params.sensor.num_outputs * math.log(math.tau)
+        rough = linalg.safe_log(-jnp.expm1(log_miss)) - (square + log_det + unit) / 2
+        _, first = jax.lax.top_k(jnp.where(scan.valid, rough, -jnp.inf), max_scored)
+        exact = target.score(params, view, jnp.take(scan.detections, first, axis=0))
+        return rough.at[first].set(exact)
+
+    return jax.vmap(near)(views, log_miss)
+
+
+def check_scored(max_scored: int | None) -> None:
+    """Raises a ValueError for a number of scored detections that makes no sense."""
+    if max_scored is not None and max_scored < 1:
+        raise ValueError(
+            f"max_scored is {max_scored}; give at least 1, or None for all"
+        )
+
+
 def threshold(gate_prob: float, size: int) -> float:
     """Returns the chi-square quantile of P_G.
 

@@ -18,6 +18,8 @@ Trans. Signal Processing 54(11), 2006, Table II; with the spread of the means ke
     [[5.]]
 """
 
+import functools
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -134,7 +136,12 @@ def merge(mixture: Mixture, threshold: float | Array) -> Mixture:
     return merge_clusters(mixture, clusters(mixture, threshold, num), num)
 
 
-def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> Array:
+def clusters(
+    mixture: Mixture,
+    threshold: float | Array,
+    max_clusters: int,
+    singular: bool = False,
+) -> Array:
     """Returns the cluster of each component, see `merge`.
 
     The loop runs once per cluster and only makes choices: no gradient passes through.
@@ -143,6 +150,8 @@ def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> A
         mixture: log_weight [N], mean [N, D], cov [N, D, D].
         threshold: Squared Mahalanobis distance.
         max_clusters: Clusters made; components that fit in none of them get -1.
+        singular: Whether covariances may be, such as those of few particles; such a
+            component is measured with the leader's, and joins equals if both are.
 
     Returns:
         Numbers from 0, in the order of the leaders, [N] (int); -1 also marks an empty
@@ -152,7 +161,7 @@ def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> A
     log_weight, mean, cov = jax.tree.map(jax.lax.stop_gradient, mixture)
     slots, axes = jnp.arange(num), range(dim)
     # Vectors over the components, and nothing in the loop that could be outside.
-    inverse = jax.vmap(_inverse_factor)(cov)
+    inverse, regular = jax.vmap(functools.partial(_inverse_factor, singular))(cov)
     factor = [[inverse[:, i, j] for j in range(i + 1)] for i in axes]
     place = [mean[:, i] for i in axes]
 
@@ -160,8 +169,12 @@ def clusters(mixture: Mixture, threshold: float | Array, max_clusters: int) -> A
         count, cluster, free = carry
         leader = jnp.argmax(jnp.where(free, log_weight, -jnp.inf))
         gap = [x - x[leader] for x in place]
-        white = [sum(row[j] * gap[j] for j in range(len(row))) for row in factor]
-        near = sum(x * x for x in white) <= threshold
+        own, limit = factor, threshold
+        if singular:
+            own = [[jnp.where(regular, x, x[leader]) for x in row] for row in factor]
+            limit = jnp.where(regular | regular[leader], threshold, 0.0)
+        white = [sum(row[j] * gap[j] for j in range(len(row))) for row in own]
+        near = sum(x * x for x in white) <= limit
         joins = free & (near | (slots == leader))
         return count + 1, jnp.where(joins, count, cluster), free & ~joins
 
@@ -259,10 +272,12 @@ def _outer(spread: Array) -> Array:
     return spread[:, :, None] * spread[:, None, :]
 
 
-def _inverse_factor(cov: Array) -> Array:
-    """Returns the inverse of the lower Cholesky factor of a covariance [D, D]."""
-    lower = linalg.cholesky(cov)
-    return linalg.solve_lower(lower, jnp.eye(len(cov), dtype=lower.dtype))
+def _inverse_factor(singular: bool, cov: Array) -> tuple[Array, Array]:
+    """Inverts a covariance's lower factor [D, D], and says if that can be done."""
+    unit = jnp.eye(len(cov), dtype=cov.dtype)
+    lower = linalg.root(cov) if singular else linalg.cholesky(cov)
+    regular = jnp.array(not singular) | (jnp.diagonal(lower) > 0).all()
+    return linalg.solve_lower(jnp.where(regular, lower, unit), unit), regular
 
 
 def _pad(mixture: Mixture, extra: int) -> Mixture:

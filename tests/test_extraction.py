@@ -38,6 +38,17 @@ def test_a_threshold_is_on_the_component_and_the_heaviest_go_first():
     assert extraction.heaviest(some, 0).exists.sum() == 0
 
 
+def test_a_further_target_of_one_component_takes_no_other_ones_slot():
+    """Three slots: two that are reported, one that is not, and a second of the 1.6."""
+    picked = extraction.above(components(1.6, 0.3, 0.6), 0.5)
+    assert picked.slot.tolist() == [0, 2, 0]
+    assert picked.exists.all()
+    full = extraction.above(components(1.6, 1.0, 0.6), 0.5)
+    assert sorted(full.slot[full.exists].tolist()) == [0, 1, 2]
+    strict = extraction.above(components(1.6, 0.85, 0.8), 0.9)
+    assert strict.slot[strict.exists].tolist() == [0, 0]
+
+
 def test_more_than_three_targets_in_one_place_are_reported_as_three():
     picked = extraction.above(components(7.0, 0.0, 0.0, 0.0), 0.5)
     assert picked.exists.sum() == extraction.COPIES == 3

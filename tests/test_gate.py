@@ -7,10 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from cases import two_sensors
+from cases.lines import scans_of
 from cases.targets import array, case_of, value
 
-from jaxtrack import gate
+from jaxtrack import engine, gate
+from jaxtrack.targets import single
+from jaxtrack.trackers import cbmember, cphd, phd
 from jaxtrack.types import Scan
+
+KEY = jax.random.key(0)
 
 
 @pytest.mark.parametrize("size", range(1, 8))
@@ -87,6 +93,68 @@ def test_clutter_is_what_the_gates_hold():
     np.testing.assert_allclose(density(gate.Gates(inside, volume)), np.log(2 / 8))
     nobody = gate.Gates(np.zeros((2, 3), bool), np.full(2, -np.inf))
     assert np.isfinite(density(nobody))
+
+
+def scores_of(name, max_scored):
+    """Two tracks and eight detections, two of them empty slots at the centre."""
+    case = case_of(name)
+    rng = np.random.default_rng(6)
+    detections = case.centre + rng.uniform(-1, 1, (8, case.centre.size)) * case.reach
+    detections[:2] = case.centre
+    scan = Scan(detections, np.arange(8) > 1, value(1.0))
+
+    @jax.jit
+    def find(params, prior, mode_prob):
+        keys = jax.random.split(jax.random.key(0), 2)
+        begin = functools.partial(case.target.begin, params, prior, mode_prob)
+        views = jax.vmap(functools.partial(case.target.look, params))(
+            jax.vmap(begin)(keys)
+        )
+        log_miss = jnp.log(array(0.2, 0.9))
+        square, log_det = jax.vmap(case.target.distance, (None, 0, None))(
+            params, views, detections
+        )
+        every = gate.scores(case.target, params, views, log_miss, scan)
+        some = gate.scores(case.target, params, views, log_miss, scan, max_scored)
+        return every, some, -(square + log_det) / 2, log_miss
+
+    return jax.tree.map(np.array, find(case.params, case.prior, case.mode_prob))
+
+
+@pytest.mark.parametrize("name", ["mixture", "single_ekf"])
+def test_near_detections_are_scored_in_full_and_far_ones_by_moments(name):
+    every, some, log_near, log_miss = scores_of(name, 3)
+    unit = np.log(2 * np.pi) * case_of(name).centre.size / 2
+    rough = log_near - unit + np.log(1 - np.exp(log_miss))[:, None]
+    order = 2 + np.argsort(-log_near[:, 2:], axis=1)
+    for track in range(2):
+        near, far = order[track, :3], [*order[track, 3:], 0, 1]
+        np.testing.assert_allclose(some[track, near], every[track, near], rtol=1e-12)
+        np.testing.assert_allclose(some[track, far], rough[track, far], rtol=1e-9)
+    assert not np.isclose(every, rough).all()
+
+
+def test_enough_scores_are_all_scores():
+    every, some, _, _ = scores_of("mixture", 8)
+    np.testing.assert_array_equal(some, every)
+    with pytest.raises(ValueError, match="max_scored is 0"):
+        gate.check_scored(0)
+
+
+@pytest.mark.parametrize("maker", [phd.phd, cphd.cphd, cbmember.cbmember])
+def test_trackers_score_no_more_detections_than_they_are_told(maker):
+    scored, target = [], single.single()
+
+    def score(params, view, detections):
+        scored.append(len(detections))
+        return target.score(params, view, detections)
+
+    tracker = maker(target._replace(score=score), max_scored=2)
+    scene = two_sensors.scene(np.random.default_rng(0), count=two_sensors.SLOTS)
+    scan = scans_of([scene.z[0]], 5, 1.0)
+    params = two_sensors.alone(two_sensors.params_of(scene))
+    jax.eval_shape(functools.partial(engine.run, tracker), params, scan, KEY)
+    assert set(scored) == {2}
 
 
 @pytest.mark.parametrize("prob", [0.0, -1.0, 1.5, float("nan")])

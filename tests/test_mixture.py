@@ -139,6 +139,20 @@ def test_merge_measures_with_the_covariance_of_the_one_that_joins():
         assert (merged.log_weight > -jnp.inf).sum() == clusters
 
 
+@pytest.mark.parametrize(
+    ("leader", "gap", "joins"),
+    [(1.0, 1.5, True), (1.0, 2.5, False), (0.0, 0.0, True), (0.0, 1e-3, False)],
+)
+def test_a_point_is_measured_with_the_covariance_of_the_leader(leader, gap, joins):
+    """The smaller component has no covariance along the second axis."""
+    mean = jnp.array([[0.0, 0.0], [0.0, gap]])
+    cov = jnp.stack([leader * jnp.eye(2), jnp.diag(jnp.array([1.0, 0.0]))])
+    mix = Mixture(jnp.log(jnp.array([0.6, 0.4])), mean, cov)
+    clusters = jax.jit(mixture.clusters, static_argnums=(2, 3))
+    assert clusters(mix, 4.0, 2, True)[1] == 1 - joins
+    assert clusters(mix, 4.0, 2, False)[1] == 1
+
+
 def test_clusters_are_numbered_by_their_leaders_and_empty_slots_have_none():
     mix = random_mixture(0)
     clusters = jax.jit(mixture.clusters, static_argnums=2)

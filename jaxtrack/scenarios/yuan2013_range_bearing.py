@@ -53,7 +53,8 @@ STAY_PROB = 0.8
 SENSOR_STD = (10.0, 0.01)  # metres, rad
 
 MAX_PARTICLES, MIN_PARTICLES = 1000, 300  # a track; fewer for one that is not sure
-ENOUGH = {"max_parents": 5, "max_updated": 8}
+SCORED = {"max_scored": 16}
+ENOUGH = {"max_parents": 5, "max_updated": 8, **SCORED}
 FEW = {"max_components": 10, "max_updated": 8, "max_parents": 3}
 
 PUBLISHED = {
@@ -130,8 +131,8 @@ def _trackers(
         params(turning()),
     )
     mixtures, clouds = (
-        yuan2013.intense(target, both, partition="detections", **FEW)
-        for target in (several, cloud)
+        yuan2013.intense(target, both, partition="detections", **FEW, **most)
+        for target, most in ((several, {}), (cloud, SCORED))
     )
     return {
         "gm-mm-cbmember": (gaussians, both),

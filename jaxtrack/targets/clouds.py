@@ -39,8 +39,8 @@ class Belief(NamedTuple):
             noise (`cloud_moves`), the covariance (`rao_blackwell`), [L, E].
         root: Factor of that noise's covariance in each mode, [M, D, D]; zero where it
             is of no use any more.
-        effective_size: How many equally weighted particles these are worth, or those
-            they were drawn from since the last motion.
+        distinct: Share of the particles that are no copies: below 1 where they were
+            drawn from fewer since the last motion (a scalar).
         num: Particles to be made at the next resampling (an int scalar).
         key: Random key as numbers, [2] (uint32).
     """
@@ -50,7 +50,7 @@ class Belief(NamedTuple):
     mode: Array
     carried: Any
     root: Array
-    effective_size: Array
+    distinct: Array
     num: Array
     key: Array
 
@@ -58,6 +58,11 @@ class Belief(NamedTuple):
     def particles(self) -> Particles:
         """Returns weights, states and modes."""
         return Particles(self.log_weight, self.state, self.mode)
+
+    @property
+    def effective_size(self) -> Array:
+        """Returns how many equally weighted particles these are worth, no copies."""
+        return particle.effective_size(self.log_weight) * self.distinct
 
 
 def check(ess_threshold: float) -> None:
@@ -104,8 +109,7 @@ def _key(numbers: Array) -> Array:
 def reweighted(belief: Belief, log_factor: Array) -> tuple[Belief, Array]:
     """Multiplies the weights by factors [L]; returns the log of their sum, too."""
     log_weight, log_total = particle.reweight(belief.log_weight, log_factor)
-    size = particle.effective_size(log_weight)
-    return belief._replace(log_weight=log_weight, effective_size=size), log_total
+    return belief._replace(log_weight=log_weight), log_total
 
 
 def one_of(
@@ -136,8 +140,9 @@ def one_of(
     pool = Particles(log_pool, _flat(_wide(beliefs)), _flat(beliefs.mode))
     num = beliefs.num.max()
     drawn = scheme(keys[0], pool, beliefs.mode.shape[1], num)
-    size = jnp.minimum(particle.effective_size(log_pool), num)
-    new = _narrow(whole, drawn)._replace(effective_size=size)
+    each = jax.vmap(lambda x: x.effective_size)(beliefs)
+    worth = 1 / (jnp.exp(2 * share) / each).sum()
+    new = _narrow(whole, drawn)._replace(distinct=jnp.minimum(worth / num, 1.0))
     alone = share[heaviest] >= 0
     chosen = jax.tree.map(lambda x, y: jnp.where(alone, x, y), whole, new)
     return chosen._replace(num=num, key=following)
@@ -156,8 +161,7 @@ def renewed(scheme: Scheme, threshold: float, belief: Belief, key: Array) -> Bel
     some = Particles(belief.log_weight, _wide(belief), belief.mode)
     size = belief.mode.shape[0]
     new = _narrow(belief, scheme(key, some, size, belief.num))
-    worth = jnp.minimum(belief.effective_size, belief.num)
-    new = new._replace(effective_size=worth.astype(belief.effective_size.dtype))
+    new = new._replace(distinct=jnp.minimum(belief.effective_size / belief.num, 1.0))
     if threshold >= 1:
         return new
     filled = (belief.log_weight > -jnp.inf).sum()

@@ -185,7 +185,7 @@ def _begin(
         mode=mode,
         carried=centre if settings.num_moves else None,
         root=jnp.broadcast_to(root, (mode_prob.size, *root.shape)),
-        effective_size=jnp.full((), size, dtype),
+        distinct=jnp.ones((), dtype),
         num=jnp.full((), size, jnp.int32),
         key=following,
     )
@@ -227,7 +227,8 @@ def _predict(
     )
     belief = belief._replace(state=cloud_motion.move(params, belief, interval))
     belief = _drawn(settings, belief, cloud_motion.roots(params, interval), keys[3])
-    return belief._replace(key=following), log_survive
+    one = jnp.ones_like(belief.distinct)
+    return belief._replace(distinct=one, key=following), log_survive
 
 
 def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:
@@ -279,7 +280,6 @@ def _blend(
     log_new = mixture.log_normalise(safe_log(weight))
     return missed._replace(
         log_weight=log_new,
-        effective_size=particle.effective_size(log_new),
         key=clouds.fold(view.belief.key, clouds.BLENDED),
     )
 

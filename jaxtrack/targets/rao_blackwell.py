@@ -135,7 +135,7 @@ def _begin(
         mode=mode,
         carried=jnp.broadcast_to(prior.cov.ravel(), (size, dim * dim)),
         root=jnp.zeros((mode_prob.size, dim, dim), dtype),
-        effective_size=jnp.full((), size, dtype),
+        distinct=jnp.ones((), dtype),
         num=jnp.full((), size, jnp.int32),
         key=following,
     )
@@ -162,7 +162,8 @@ def _predict(
         for motion in params.motions
     ]
     moved = jax.tree.map(lambda *x: particle.pick(x, belief.mode), *every)
-    return _with(belief, moved)._replace(key=following), log_survive
+    belief = belief._replace(distinct=jnp.ones_like(belief.distinct), key=following)
+    return _with(belief, moved), log_survive
 
 
 def _miss(params: Params, belief: Belief) -> tuple[Belief, Array]:

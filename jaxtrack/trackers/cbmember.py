@@ -48,6 +48,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import gate
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.trackers import alternatives, bernoulli, multi_bernoulli
 from jaxtrack.trackers.bernoulli import Estimate, Tracks
@@ -91,6 +92,7 @@ def cbmember(
     merge_threshold: float = 0.0,
     split_threshold: float = 0.8,
     balance: Balance = "paper",
+    max_scored: int | None = None,
 ) -> Tracker:
     """Makes a CBMeMBer filter.
 
@@ -109,6 +111,8 @@ def cbmember(
             label starts its own if it exists with more probability than this.
         balance: "paper", or "claims", which gives each detection to one track at most:
             no overcount, for more work; see `multi_bernoulli`.
+        max_scored: Detections that each track scores in full, see `gate.scores`; for
+            particles among much clutter.
 
     Raises:
         ValueError: A size, threshold or balance that makes no sense.
@@ -124,6 +128,7 @@ def cbmember(
         merge_threshold,
         split_threshold,
         balance,
+        max_scored,
     )
     check(settings)
     return Tracker(
@@ -144,6 +149,7 @@ def check(settings: Settings) -> None:
             f"merge_threshold is {settings.merge_threshold}; give a squared distance, "
             "e.g. 4"
         )
+    gate.check_scored(settings.max_scored)
     if settings.balance not in ("paper", "claims"):
         raise ValueError(
             f'balance is {settings.balance!r}; give "paper" (each detection by itself) '
@@ -173,7 +179,9 @@ def _step(
         born = bernoulli.begin(target, params.target, params.birth, label, birth_key)
         tracks, label = bernoulli.append(tracks, born), label + born.label.size
 
-    update = multi_bernoulli.update(settings.balance, target, params, tracks, scan)
+    update = multi_bernoulli.update(
+        settings.balance, target, params, tracks, scan, settings.max_scored
+    )
     tracks, dropped = multi_bernoulli.keep(
         settings, params.target, tracks, scan, update
     )

@@ -17,12 +17,13 @@ and Vassilvitskii, "k-means++: the advantages of careful seeding", 2007 (the see
 without chance: each next one is where most weight is farthest).
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import mixture
+from jaxtrack.trackers import extraction
 from jaxtrack.trackers.bernoulli import Estimate, repeats
 from jaxtrack.trackers.intensity import Components
 from jaxtrack.types import Array, Mixture, Target
@@ -81,6 +82,41 @@ def check(extract: Extract) -> None:
             f'extract is {extract!r}; give "components" (what is heavy is a target) or '
             '"clusters" (k-means of all particles)'
         )
+
+
+def read(
+    extract: Extract,
+    target: Target,
+    params: Any,
+    components: Components,
+    picked: extraction.Picked,
+    count: Array,
+    told: tuple[Array, Array, Array],
+    next_label: Array,
+) -> tuple[Components, Estimate, Array]:
+    """Reports the components that were picked, or as many clusters as are counted.
+
+    Args:
+        extract: Which of the two.
+        target: How one target is filtered.
+        params: The target's `Params`.
+        components: N.
+        picked: What to report of them.
+        count: How many clusters.
+        told: Variance of the number, log-evidence and what was dropped, as they are.
+        next_label: The first free label.
+
+    Returns:
+        The components, some under a new label, the estimate, and the next free label.
+    """
+    if extract == "clusters":
+        where = params.layout.position_index
+        return report(target, where, components, count, *told, next_label)
+    components, shown, next_label = extraction.tell_apart(
+        components, picked, next_label
+    )
+    estimate = extraction.report(target, components, picked, shown, *told)
+    return components, estimate, next_label
 
 
 def report(

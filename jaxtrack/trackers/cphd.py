@@ -35,7 +35,6 @@ import jax.numpy as jnp
 from jaxtrack import cardinality
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.trackers import (
-    bernoulli,
     clustering,
     counting,
     extraction,
@@ -122,6 +121,7 @@ def cphd(
     partition: reduction.Partition = "pairs",
     max_parents: int = 8,
     extract: clustering.Extract = "components",
+    max_scored: int | None = None,
 ) -> Tracker:
     """Makes a CPHD filter.
 
@@ -140,6 +140,7 @@ def cphd(
         max_parents: Components that may share in one, where they merge or where it is
             made of all that a detection corrects.
         extract: "components", the heaviest; or "clusters" by k-means of all particles.
+        max_scored: See `phd`.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -151,6 +152,7 @@ def cphd(
         merge_threshold,
         partition,
         max_parents,
+        max_scored,
     )
     reduction.check_births(max_births)
     if max_targets < 1:
@@ -201,15 +203,16 @@ def _step(
         )
         log_number, excess = add_newborn(log_number, params.birth)
 
-    posterior, log_number = update(target, params, components, log_number, scan)
+    posterior, log_number = update(
+        target, params, components, log_number, scan, size.max_scored
+    )
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
-    components = intensity.scaled(components, cardinality.mean(log_number))
+    told = cardinality.variance(log_number), posterior.log_evidence, dropped
     components, estimate, label = _report(
-        settings, params, components, log_number, label, posterior.log_evidence, dropped
+        settings, params, components, log_number, told, label
     )
-    estimate = Estimate(*estimate, cardinality_prob=jnp.exp(log_number))
 
     following = components
     if isinstance(params.birth, DetectionBirth):
@@ -230,26 +233,24 @@ def _report(
     params: Params,
     components: Components,
     log_number: Array,
+    told: tuple[Array, Array, Array],
     label: Array,
-    log_evidence: Array,
-    dropped: Array,
-) -> tuple[Components, bernoulli.Estimate, Array]:
-    """Extracts the targets; the components may be renamed."""
-    target, count = (
+) -> tuple[Components, Estimate, Array]:
+    """Reports as many as are counted; the components may be renamed."""
+    components = intensity.scaled(components, cardinality.mean(log_number))
+    count = count_reported(log_number, settings.report_threshold)
+    components, estimate, label = clustering.read(
+        settings.extract,
         settings.target,
-        count_reported(log_number, settings.report_threshold),
-    )
-    told = cardinality.variance(log_number), log_evidence, dropped
-    if settings.extract == "clusters":
-        where = params.target.layout.position_index
-        return clustering.report(target, where, components, count, *told, label)
-    picked = extraction.heaviest(components, count)
-    components, shown, label = extraction.tell_apart(components, picked, label)
-    return (
+        params.target,
         components,
-        extraction.report(target, components, picked, shown, *told),
+        extraction.heaviest(components, count),
+        count,
+        told,
         label,
     )
+    counted = Estimate(*estimate, cardinality_prob=jnp.exp(log_number))
+    return components, counted, label
 
 
 def count_reported(log_number: Array, threshold: float | None) -> Array:
@@ -277,6 +278,7 @@ def update(
     components: Components,
     log_cardinality: Array,
     scan: Scan,
+    max_scored: int | None = None,
 ) -> tuple[Update, Array]:
     """Conditions an intensity and a number of targets on a scan; reduces nothing.
 
@@ -286,9 +288,10 @@ def update(
         components: N, predicted, with the newborn; their shares count, not their sum.
         log_cardinality: Log-probability of every number of targets, [C].
         scan: K detections.
+        max_scored: See `gate.scores`.
 
     Returns:
         N missed and N x K corrected components as weights, and the new [C].
     """
-    sighting = intensity.see(target, params, components, scan)
+    sighting = intensity.see(target, params, components, scan, max_scored)
     return counting.correct(sighting, log_cardinality, params.clutter.rate)

@@ -52,10 +52,13 @@ def check(report_threshold: float) -> None:
 
 
 def above(components: Components, threshold: float) -> Picked:
-    """Reports what stands for more than so many targets, and each further one."""
-    slot, copy, share = _copies(components)
-    weight = jnp.exp(components.log_weight)[slot]
-    return Picked(slot, copy, share, (weight > threshold) & (share > 0))
+    """Reports what stands for more than so many targets, and each further one.
+
+    Further ones come after all components, so that they take nobody's slot.
+    """
+    reported = jnp.exp(components.log_weight) > threshold
+    slot, copy, share = _copies(components, reported)
+    return Picked(slot, copy, share, reported[slot] & (share > 0))
 
 
 def heaviest(components: Components, count: Array) -> Picked:
@@ -65,16 +68,22 @@ def heaviest(components: Components, count: Array) -> Picked:
     return Picked(slot, copy, share, exists)
 
 
-def _copies(components: Components) -> tuple[Array, Array, Array]:
+def _copies(
+    components: Components, reported: Array | None = None
+) -> tuple[Array, Array, Array]:
     """Returns component, copy and its share, each [N], the greatest first.
 
-    A first copy counts as its whole component, further ones as their share.
+    A first copy counts as its whole component, further ones as their share. If it is
+    known what is reported [N], first copies of this come first, and then further ones.
     """
     weight = jnp.exp(components.log_weight)
     copies = jnp.clip(jnp.round(weight), 1, COPIES)
     there = jnp.arange(COPIES)[None] < copies[:, None]
     share = jnp.where(there, (weight / copies)[:, None], 0.0)
     rank = share.at[:, 0].set(weight)
+    if reported is not None:
+        tier = jnp.ones_like(rank).at[:, 0].add(1.0)
+        rank = rank / (1 + rank) + jnp.where(reported[:, None] & there, tier, 0.0)
     _, index = jax.lax.top_k(rank.ravel(), weight.size)
     return index // COPIES, index % COPIES, share.ravel()[index]
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import gate
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.trackers import bernoulli
@@ -204,7 +205,13 @@ def scaled(components: Components, num_mean: Array) -> Components:
     return components._replace(log_weight=components.log_weight + jnp.log(factor))
 
 
-def see(target: Target, params: Params, components: Components, scan: Scan) -> Sighting:
+def see(
+    target: Target,
+    params: Params,
+    components: Components,
+    scan: Scan,
+    max_scored: int | None = None,
+) -> Sighting:
     """Asks each component what it thinks of a scan.
 
     Args:
@@ -212,6 +219,7 @@ def see(target: Target, params: Params, components: Components, scan: Scan) -> S
         params: The tracker's `Params`.
         components: N, predicted.
         scan: K detections.
+        max_scored: Of them scored in full by each component, see `gate.scores`.
 
     Returns:
         What the update needs. An invalid detection has score and clutter -inf and 0;
@@ -221,9 +229,7 @@ def see(target: Target, params: Params, components: Components, scan: Scan) -> S
         params.target, components.belief
     )
     views = jax.vmap(target.look, (None, 0))(params.target, components.belief)
-    score = jax.vmap(target.score, (None, 0, None))(
-        params.target, views, scan.detections
-    )
+    score = gate.scores(target, params.target, views, log_miss, scan, max_scored)
     clutter = jax.vmap(params.clutter.log_density)(scan.detections)
     return Sighting(
         missed=missed,

@@ -28,7 +28,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack import mixture
+from jaxtrack import gate, mixture
 from jaxtrack.assign.marginals import marginals
 from jaxtrack.linalg import safe_log
 from jaxtrack.trackers import association, bernoulli
@@ -56,6 +56,7 @@ class Settings(NamedTuple):
     merge_threshold: float
     split_threshold: float
     balance: Balance
+    max_scored: int | None = None
 
 
 class Update(NamedTuple):
@@ -116,7 +117,12 @@ class Claims(NamedTuple):
 
 
 def update(
-    balance: Balance, target: Target, params: Any, tracks: Tracks, scan: Scan
+    balance: Balance,
+    target: Target,
+    params: Any,
+    tracks: Tracks,
+    scan: Scan,
+    max_scored: int | None = None,
 ) -> Update:
     """Says how likely each track exists after a scan; keeps and drops nothing.
 
@@ -126,13 +132,20 @@ def update(
         params: The tracker's `Params`: target and clutter.
         tracks: N, predicted, with the newborn.
         scan: K detections.
+        max_scored: Of them scored in full by each track, see `gate.scores`.
     """
     weigh = balanced if balance == "paper" else claimed
-    seen = see(target, params, tracks, scan)
+    seen = see(target, params, tracks, scan, max_scored)
     return weigh(seen, scan.valid, params.clutter.rate)
 
 
-def see(target: Target, params: Any, tracks: Tracks, scan: Scan) -> Seen:
+def see(
+    target: Target,
+    params: Any,
+    tracks: Tracks,
+    scan: Scan,
+    max_scored: int | None = None,
+) -> Seen:
     """Asks each of N tracks what it thinks of K detections.
 
     Args:
@@ -140,12 +153,11 @@ def see(target: Target, params: Any, tracks: Tracks, scan: Scan) -> Seen:
         params: The tracker's `Params`: target and clutter.
         tracks: N, predicted.
         scan: K detections.
+        max_scored: See `gate.scores`.
     """
     missed, log_miss = jax.vmap(target.miss, (None, 0))(params.target, tracks.belief)
     views = jax.vmap(target.look, (None, 0))(params.target, tracks.belief)
-    score = jax.vmap(target.score, (None, 0, None))(
-        params.target, views, scan.detections
-    )
+    score = gate.scores(target, params.target, views, log_miss, scan, max_scored)
     # 1 / (1 - r) must stay finite; nothing else is clipped.
     tiny = jnp.finfo(tracks.existence_prob.dtype).eps
     prob = jnp.minimum(tracks.existence_prob, 1 - tiny)

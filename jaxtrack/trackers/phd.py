@@ -76,6 +76,7 @@ def phd(
     partition: reduction.Partition = "pairs",
     max_parents: int = 8,
     extract: clustering.Extract = "components",
+    max_scored: int | None = None,
 ) -> Tracker:
     """Makes a PHD filter.
 
@@ -94,6 +95,8 @@ def phd(
             made of all that a detection corrects.
         extract: "components", which are reported by their weight; or "clusters", as
             many as the expected number rounded, by k-means of all particles.
+        max_scored: Detections that each component scores in full, see `gate.scores`;
+            for particles among much clutter.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -105,6 +108,7 @@ def phd(
         merge_threshold,
         partition,
         max_parents,
+        max_scored,
     )
     reduction.check_births(max_births)
     extraction.check(report_threshold)
@@ -141,12 +145,20 @@ def _step(
             target, params.target, components, params.birth, label, birth_key
         )
 
-    posterior = update(target, params, components, scan)
+    posterior = update(target, params, components, scan, size.max_scored)
     components, dropped = reduction.reduce(
         size, target, params.target, components.label, posterior, scan
     )
-    components, estimate, label = _report(
-        settings, params, components, label, posterior.log_evidence, dropped
+    num = components.expected
+    components, estimate, label = clustering.read(
+        settings.extract,
+        target,
+        params.target,
+        components,
+        extraction.above(components, settings.report_threshold),
+        jnp.round(num),
+        (num, posterior.log_evidence, dropped),  # a Poisson number's variance: its mean
+        label,
     )
 
     following = components
@@ -161,31 +173,12 @@ def _step(
     return State(following, label, key), estimate
 
 
-def _report(
-    settings: Settings,
+def update(
+    target: Target,
     params: Params,
     components: Components,
-    label: Array,
-    log_evidence: Array,
-    dropped: Array,
-) -> tuple[Components, Estimate, Array]:
-    """Extracts the targets; the components may be renamed."""
-    target, num = settings.target, components.expected
-    told = num, log_evidence, dropped  # the variance of a Poisson number is its mean
-    if settings.extract == "clusters":
-        where, count = params.target.layout.position_index, jnp.round(num)
-        return clustering.report(target, where, components, count, *told, label)
-    picked = extraction.above(components, settings.report_threshold)
-    components, shown, label = extraction.tell_apart(components, picked, label)
-    return (
-        components,
-        extraction.report(target, components, picked, shown, *told),
-        label,
-    )
-
-
-def update(
-    target: Target, params: Params, components: Components, scan: Scan
+    scan: Scan,
+    max_scored: int | None = None,
 ) -> Update:
     """Conditions an intensity on a scan; reduces nothing.
 
@@ -194,11 +187,12 @@ def update(
         params: The tracker's `Params`.
         components: N, predicted, with the newborn.
         scan: K detections.
+        max_scored: See `gate.scores`.
 
     Returns:
         N missed and N x K corrected components as weights.
     """
-    sighting = intensity.see(target, params, components, scan)
+    sighting = intensity.see(target, params, components, scan, max_scored)
     return correct(sighting, params.clutter.rate)
 
 

@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack import mixture
+from jaxtrack import gate, mixture
 from jaxtrack.trackers import bernoulli
 from jaxtrack.trackers.intensity import Components, Update, append
 from jaxtrack.types import Array, Mixture, PyTree, Scan, Target
@@ -41,6 +41,7 @@ class Reduction(NamedTuple):
     merge_threshold: float
     partition: Partition
     max_parents: int
+    max_scored: int | None
 
 
 def make(
@@ -50,6 +51,7 @@ def make(
     merge_threshold: float = 4.0,
     partition: Partition = "pairs",
     max_parents: int = 8,
+    max_scored: int | None = None,
 ) -> Reduction:
     """Checks the settings of `phd.phd` that say how an intensity is kept small.
 
@@ -71,6 +73,7 @@ def make(
             f"merge_threshold is {merge_threshold}; give a squared distance of 0 or "
             "more, e.g. 4"
         )
+    gate.check_scored(max_scored)
     if partition not in ("pairs", "detections"):
         raise ValueError(
             f'partition is {partition!r}; give "pairs" (a component for each parent '
@@ -83,6 +86,7 @@ def make(
         merge_threshold,
         partition,
         max_parents,
+        max_scored,
     )
 
 
@@ -212,7 +216,10 @@ def merge(
     num, most = components.log_weight.size, size.max_components
     moments = jax.vmap(target.moments)(components.belief)
     cluster = mixture.clusters(
-        Mixture(components.log_weight, *moments), size.merge_threshold, most
+        Mixture(components.log_weight, *moments),
+        size.merge_threshold,
+        most,
+        singular=True,
     )
     member = cluster[None] == jnp.arange(most)[:, None]
     log_weight = jnp.where(member, components.log_weight[None], -jnp.inf)

@@ -102,7 +102,7 @@ def iterated(
     """
     log_evidence, dropped, unexplained = jnp.zeros(()), jnp.zeros(()), []
     for params, scan in each:
-        sighting = intensity.see(target, params, components, scan)
+        sighting = intensity.see(target, params, components, scan, size.max_scored)
         update, log_number = weigh(sighting, log_number, params.clutter.rate)
         components, lost = reduction.reduce(
             size, target, params.target, components.label, update, scan
@@ -125,10 +125,10 @@ def product(
     running, log_total, log_theta = components, log_before, jnp.zeros(())
     lost, alone = jnp.zeros(()), []
     for params, scan in each:
-        sighting = intensity.see(target, params, components, scan)
+        sighting = intensity.see(target, params, components, scan, size.max_scored)
         said, number = weigh(sighting, log_number, params.clutter.rate)
         alone.append((said, number))
-        seen = intensity.see(target, params, running, scan)
+        seen = intensity.see(target, params, running, scan, size.max_scored)
         update = _apply(seen, *factors(sighting, said), said)
         growth = _gap(_total(update), mixture.total(running.log_weight))
         log_total = log_total + growth
