@@ -22,6 +22,7 @@ from jaxtrack.trackers import (
 from jaxtrack.types import Scans
 
 LOW, HIGH, NUM, SLOTS = -10.0, 10.0, 2, 2
+MANY = 60
 KEY = np.array(jax.random.key_data(jax.random.key(0)))
 FORMS = "iterated", "product"
 TARGET = single.single()
@@ -131,7 +132,19 @@ def program(name, form=None):
         return estimate.log_evidence, estimate
 
     slope = jax.value_and_grad(evidence, has_aux=True)
-    return jax.jit(jax.vmap(slope if form else lambda *x: (evidence(*x), None)))
+    many = jax.jit(jax.vmap(slope if form else lambda *x: (evidence(*x), None)))
+
+    def by_blocks(params, scans):
+        """Always as many at once, so that it is compiled once."""
+        num = len(scans.each[0].valid if form else scans.valid)
+        found = []
+        for first in range(0, num, MANY):
+            index = np.minimum(np.arange(first, first + MANY), num - 1)
+            block = jax.tree.map(lambda x, i=index: x[i], (params, scans))
+            found.append(jax.tree.map(np.asarray, many(*block)))
+        return jax.tree.map(lambda *x: np.concatenate(x)[:num], *found)
+
+    return by_blocks
 
 
 def stacked(many):
