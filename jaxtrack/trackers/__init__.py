@@ -13,6 +13,7 @@ from jaxtrack.trackers import (
     clustering,
     counting,
     cphd,
+    enumeration,
     extraction,
     gnn,
     hypotheses,
@@ -25,6 +26,7 @@ from jaxtrack.trackers import (
     multi_bernoulli,
     nearest,
     options,
+    oracle,
     pda,
     phd,
     reduction,
@@ -34,6 +36,7 @@ from jaxtrack.trackers import (
     several_intensity,
     several_phd,
     single_scan,
+    undetected,
 )
 
 __all__ = [
@@ -44,6 +47,7 @@ __all__ = [
     "chains",
     "counting",
     "cphd",
+    "enumeration",
     "extraction",
     "gnn",
     "hypotheses",
@@ -56,6 +60,7 @@ __all__ = [
     "multi_bernoulli",
     "nearest",
     "options",
+    "oracle",
     "pda",
     "phd",
     "reduction",
@@ -65,4 +70,5 @@ __all__ = [
     "several_intensity",
     "several_phd",
     "single_scan",
+    "undetected",
 ]

@@ -1,0 +1,231 @@
+"""Tests of `trackers.oracle` against all lives of all targets, one by one."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import lives
+
+from jaxtrack.models.birth import PoissonBirth
+from jaxtrack.models.clutter import UniformClutter
+from jaxtrack.models.motion import OrnsteinUhlenbeck
+from jaxtrack.models.probability import Constant
+from jaxtrack.models.sensor import Position
+from jaxtrack.targets import single
+from jaxtrack.trackers import enumeration, oracle
+from jaxtrack.types import Scan
+
+SIZES = 2, 1, 2
+INTERVAL, BOX = 0.7, 40.0
+NUM, MAX = 40, 8
+target = single.single()
+
+
+def draw(seed):
+    """Numbers of a random problem."""
+    rng = np.random.default_rng(seed)
+    return {
+        "position_std": rng.uniform(1.0, 4.0),
+        "time_constant": rng.uniform(1.0, 3.0),
+        "sensor_var": rng.uniform(0.2, 2.0),
+        "births": rng.uniform(0.05, 0.8),
+        "undetected": rng.uniform(0.2, 2.0),
+        "survive": rng.uniform(0.6, 0.99),
+        "detect": rng.uniform(0.4, 0.95),
+        "clutter": rng.uniform(0.2, 3.0),
+        "false_density": 1 / BOX,
+    }
+
+
+def params_of(drawn):
+    motion = OrnsteinUhlenbeck(
+        jnp.asarray(drawn["position_std"])[None],
+        jnp.asarray(drawn["time_constant"])[None],
+    )
+    speed = drawn["position_std"] / drawn["time_constant"]
+    cov = jnp.diag(jnp.stack([drawn["position_std"] ** 2, speed**2]))
+
+    def places(rate):
+        one = jnp.asarray(rate)[None]
+        return PoissonBirth(one, jnp.zeros((1, 2)), cov[None], jnp.ones((1, 1)))
+
+    return oracle.Params(
+        target=single.Params(
+            motion,
+            Position(jnp.sqrt(drawn["sensor_var"])[None]),
+            Constant(jnp.asarray(drawn["survive"])),
+            Constant(jnp.asarray(drawn["detect"])),
+        ),
+        birth=places(drawn["births"]),
+        clutter=UniformClutter(
+            jnp.asarray(drawn["clutter"]), -BOX / 2 * jnp.ones(1), BOX / 2 * jnp.ones(1)
+        ),
+        undetected=places(drawn["undetected"]),
+    )
+
+
+def model_of(drawn, **more):
+    x = INTERVAL / drawn["time_constant"]  # a critically damped oscillator
+    transition = np.exp(-x) * np.array(
+        [[1 + x, INTERVAL], [-x / drawn["time_constant"], 1 - x]]
+    )
+    speed = drawn["position_std"] / drawn["time_constant"]
+    stationary = np.diag([drawn["position_std"] ** 2, speed**2])
+    return {**drawn, "transition": transition, "stationary": stationary, **more}
+
+
+def detections(seed, sizes=SIZES):
+    rng = np.random.default_rng(1000 + seed)
+    return [rng.normal(0.0, 3.0, size) for size in sizes]
+
+
+def scans_of(drawn):
+    return [
+        Scan(x[:, None], jnp.ones(len(x), bool), jnp.asarray(INTERVAL)) for x in drawn
+    ]
+
+
+def stacked(trees):
+    return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *trees)
+
+
+@jax.jit
+@jax.vmap
+def solve(drawn, places, counts=None):
+    params = params_of(drawn)
+    scans = scans_of(places)
+    return oracle.posterior(
+        target, params, scans, jax.random.key(0), counts, max_targets=MAX
+    )
+
+
+def compare(found, k, expected, numbers, sizes=SIZES):
+    listed = enumeration.table(sizes)
+    total = sum(expected.values())
+    assert len(listed.member) == len(expected)
+    weights = [
+        expected[tuple(map(tuple, listed.track[row].tolist()))] for row in listed.member
+    ]
+    prob = np.exp(found.log_prob[k])
+    np.testing.assert_allclose(prob, np.array(weights) / total, rtol=1e-10)
+    np.testing.assert_allclose(found.log_evidence[k], np.log(total), rtol=1e-11)
+    np.testing.assert_allclose(found.num_prob[k], numbers, rtol=1e-10)
+
+
+def test_posterior_evidence_and_number_are_those_of_all_lives():
+    drawn = [draw(seed) for seed in range(NUM)]
+    places = [detections(seed) for seed in range(NUM)]
+    found = solve(stacked(drawn), stacked(places))
+    for k in range(NUM):
+        compare(found, k, *lives.posterior(places[k], model_of(drawn[k]), MAX + 1))
+
+
+def test_numbers_need_not_be_poisson():
+    rng = np.random.default_rng(7)
+    drawn = [{**draw(seed), "births": 0.0} for seed in range(NUM)]
+    places = [detections(seed) for seed in range(NUM)]
+    number = rng.dirichlet(np.ones(5), NUM)
+    false = rng.dirichlet(np.ones(4), NUM)
+    counts = oracle.Counts(jnp.log(number), jnp.log(false))
+    found = solve(stacked(drawn), stacked(places), counts)
+    for k in range(NUM):
+        model = model_of(drawn[k], number_prob=number[k], false_prob=false[k])
+        compare(found, k, *lives.posterior(places[k], model, MAX + 1))
+
+
+def test_poisson_numbers_given_as_such_change_nothing():
+    drawn = [{**draw(seed), "births": 0.0} for seed in range(4)]
+    places = [detections(seed) for seed in range(4)]
+    number = np.arange(40)
+    factorial = np.cumsum(np.log(np.maximum(number, 1)))
+
+    def poisson(rate):
+        return number * np.log(rate) - rate - factorial
+
+    counts = stacked(
+        [oracle.Counts(poisson(x["undetected"]), poisson(x["clutter"])) for x in drawn]
+    )
+    told = solve(stacked(drawn), stacked(places), counts)
+    plain = solve(stacked(drawn), stacked(places))
+    for name in ("log_prob", "log_evidence", "num_prob", "track_prob"):
+        np.testing.assert_allclose(
+            getattr(told, name), getattr(plain, name), rtol=1e-9, err_msg=name
+        )
+
+
+def test_tracks_are_believed_as_kalman_filters_do():
+    drawn, places = draw(3), detections(3)
+    found = solve(stacked([drawn]), stacked([places]))
+    model = model_of(drawn)
+    for track, mean in zip(
+        enumeration.table(SIZES).track, found.belief.mean[0], strict=True
+    ):
+        expected = lives.likelihood(track, places, model)[1]
+        # Means of order 1, some of which are 0.
+        np.testing.assert_allclose(mean, expected, rtol=1e-10, atol=1e-14)
+    prob = found.track_prob[0]
+    member = enumeration.table(SIZES).member
+    np.testing.assert_allclose(prob, np.exp(found.log_prob[0]) @ member, rtol=1e-12)
+
+
+def test_a_slot_that_is_not_valid_is_nobodys():
+    drawn, places = draw(5), detections(5)
+    full = scans_of(places)
+    longer = [*full[:2], full[2]._replace(valid=jnp.array([True, False]))]
+    short = [*full[:2], jax.tree.map(lambda x: x[:1] if x.ndim else x, full[2])]
+    key = jax.random.key(0)
+    find = jax.jit(lambda scans: oracle.posterior(target, params_of(drawn), scans, key))
+    padded, plain = find(longer), find(short)
+    np.testing.assert_allclose(padded.log_evidence, plain.log_evidence, rtol=1e-12)
+    np.testing.assert_allclose(padded.num_prob, plain.num_prob, rtol=1e-10)
+
+
+@pytest.mark.parametrize("sizes", [(), (0,), (3,), (2, 0, 1), (2, 3, 2)])
+def test_hypotheses_are_counted_and_listed_once(sizes):
+    listed = enumeration.table(sizes)
+    assert len(listed.member) == enumeration.count(sizes)
+    assert len({tuple(row) for row in listed.member.tolist()}) == len(listed.member)
+    for row, num, false in zip(
+        listed.member, listed.num_tracks, listed.num_false, strict=True
+    ):
+        used = [
+            (k, j)
+            for track in listed.track[row].tolist()
+            for k, j in enumerate(track)
+            if j >= 0
+        ]
+        assert len(used) == len(set(used))
+        assert num == row.sum()
+        left = [m - sum(k == scan for k, _ in used) for scan, m in enumerate(sizes)]
+        assert false.tolist() == left
+    if sizes == (2, 3, 2):
+        assert len(listed.member) == 1712  # the number that the paper's extract has
+
+
+def test_too_many_hypotheses_are_refused_before_they_are_listed():
+    with pytest.raises(ValueError, match=r"num_detections is \(9, 9, 9\), which makes"):
+        enumeration.table((9, 9, 9))
+
+
+def test_evidence_integrates_to_one():
+    drawn = {**draw(1), "births": 0.02, "undetected": 0.05, "clutter": 0.05}
+    grid = np.linspace(-BOX / 2, BOX / 2, 161)
+    step = grid[1] - grid[0]
+    key = jax.random.key(0)
+
+    @jax.jit
+    def density(*places):
+        scans = [
+            Scan(x[:, None], jnp.ones(len(x), bool), jnp.asarray(INTERVAL))
+            for x in places
+        ]
+        params = params_of(drawn)
+        return jnp.exp(oracle.posterior(target, params, scans, key).log_evidence)
+
+    ones, pairs = grid[:, None], np.array(list(itertools.product(grid[::4], grid[::4])))
+    total = density(np.zeros(0)) + jax.vmap(density)(ones).sum() * step
+    total = total + jax.vmap(density)(pairs).sum() * (4 * step) ** 2 / 2
+    # Three detections or more have probability 0.0004 at such rates.
+    assert abs(total - 1) < 1e-3
