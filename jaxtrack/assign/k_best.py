@@ -69,7 +69,7 @@ def k_best(log_score: Array, k: int) -> KBest:
     """Finds the k joint events with the largest sums of scores, exactly.
 
     Events of equal weight come in an order that is always the same. The gradient of
-    `log_score` is that of the chosen scores. The work is that of `best` and of k N short
+    `log_score` is that of the chosen scores. The work is that of `best` and k N short
     searches, N of them side by side (see `jaxtrack.assign.detours`).
 
     Args:
