@@ -17,18 +17,28 @@ those of `host`, which call SciPy.
 
 from jaxtrack.assign.multiscan import (
     decomposition,
+    entropic,
     greedy,
     host,
+    interior,
     lagrangian,
+    primal_dual,
     problem,
+    relax,
     slots,
+    system,
 )
 
 __all__ = [
     "decomposition",
+    "entropic",
     "greedy",
     "host",
+    "interior",
     "lagrangian",
+    "primal_dual",
     "problem",
+    "relax",
     "slots",
+    "system",
 ]

@@ -12,7 +12,7 @@ problems, and as the reference of what runs inside `jax.jit`.
     >>> found = host.exact(given, num_detections=1)
     >>> print(found.leaf, found.log_score)
     [0 1] 7.0
-    >>> print([float(one.log_score) for one in host.m_best(given, 1, m=5)])
+    >>> print([one.log_score for one in host.m_best(given, 1, m=5)])
     [7.0, 5.0, 4.0]
 
 References: Morefield, "Application of 0-1 integer programming to multitarget tracking
@@ -25,9 +25,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxtrack.assign.multiscan.problem import Answer, Problem
+from jaxtrack.assign.multiscan.problem import Problem
 
 SOLVED, STOPPED = 0, 1
+
+
+class Selection(NamedTuple):
+    """One leaf for each tree.
+
+    Attributes:
+        leaf: Of each tree, [N] (int); -1 where the tree is empty or nothing was found.
+        log_score: Sum of the chosen scores; -inf if not `feasible`.
+        log_bound: No selection has more.
+        feasible: Whether there is such a selection (bool).
+    """
+
+    leaf: np.ndarray
+    log_score: float
+    log_bound: float
+    feasible: bool
 
 
 class Relaxation(NamedTuple):
@@ -68,7 +84,7 @@ class _Programme(NamedTuple):
 
 def exact(
     problem: Problem, num_detections: int, time_limit: float | None = None
-) -> Answer:
+) -> Selection:
     """Finds the best selection.
 
     Args:
@@ -77,17 +93,14 @@ def exact(
         time_limit: Seconds, after which the best selection so far is given, with the
             bound so far; None for as long as it takes.
 
-    Returns:
-        Arrays of NumPy. The bound is the solver's and prices are zero.
-
     Raises:
         RuntimeError: SciPy is not installed.
     """
     programme = _programme(problem, num_detections)
-    return _solve(programme, problem, num_detections, [], time_limit)
+    return _solve(programme, problem, [], time_limit)
 
 
-def m_best(problem: Problem, num_detections: int, m: int) -> list[Answer]:
+def m_best(problem: Problem, num_detections: int, m: int) -> list[Selection]:
     """Finds the m best selections, best first, each once; fewer if there are fewer.
 
     Each is a 0-1 programme of its own, in which those before it are cut off.
@@ -101,10 +114,10 @@ def m_best(problem: Problem, num_detections: int, m: int) -> list[Answer]:
         RuntimeError: SciPy is not installed.
     """
     programme = _programme(problem, num_detections)
-    found: list[Answer] = []
+    found: list[Selection] = []
     while len(found) < m:
         before = [one.leaf for one in found]
-        one = _solve(programme, problem, num_detections, before, None)
+        one = _solve(programme, problem, before, None)
         if not one.feasible:
             break
         found.append(one)
@@ -182,17 +195,13 @@ def _programme(problem: Problem, num_detections: int) -> _Programme:
 def _solve(
     made: _Programme,
     problem: Problem,
-    num_detections: int,
     before: list[np.ndarray],
     time_limit: float | None,
-) -> Answer:
+) -> Selection:
     """Solves the 0-1 programme without the selections in `before`."""
-    num_trees, _, num_scans = problem.detection.shape
-    leaf = np.full(num_trees, -1)
-    price = np.zeros((num_scans, num_detections))
+    leaf = np.full(len(problem.log_score), -1)
     if not made.score.size:
-        zero = np.zeros(())
-        return Answer(leaf, zero, zero, np.array(True), price)
+        return Selection(leaf, 0.0, 0.0, True)
     optimize = _optimize()
     limits = [optimize.LinearConstraint(made.matrix, made.low, made.high)]
     for old in before:
@@ -210,9 +219,9 @@ def _solve(
     )
     if result.status not in (SOLVED, STOPPED) or result.x is None:
         bound = np.inf if result.status == STOPPED else -np.inf
-        return Answer(leaf, np.array(-np.inf), np.array(bound), np.array(False), price)
+        return Selection(leaf, -np.inf, bound, False)
     taken = result.x > 0.5
     leaf[made.tree[taken]] = made.leaf[taken]
-    total = made.score[taken].sum()
-    bound = total if result.status == SOLVED else -result.mip_dual_bound
-    return Answer(leaf, np.array(total), np.array(bound), np.array(True), price)
+    total = float(made.score[taken].sum())
+    bound = total if result.status == SOLVED else -float(result.mip_dual_bound)
+    return Selection(leaf, total, bound, True)
