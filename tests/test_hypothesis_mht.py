@@ -1,0 +1,100 @@
+"""Tests of `trackers.hypothesis_mht` against the posterior of all hypotheses."""
+
+import functools
+
+import jax
+import numpy as np
+from cases import small_scenes as scenes
+
+from jaxtrack.trackers import enumeration, hypothesis_mht, oracle
+
+SIZES = 1, 2, 1
+NUM, MAX = 100, 20
+ROOM = {
+    "max_hypotheses": 48,
+    "max_children": 24,
+    "max_tracks": 6,
+    "max_leaves": 9,
+    "max_undetected": 4,
+    "gate_prob": 1.0,
+    "prune_threshold": 0.0,
+    "exist_threshold": 0.0,
+}
+
+
+def track(drawn, places, tracker):
+    """Runs a tracker over scans of different sizes; returns the last estimate."""
+    params = scenes.params_of(drawn)
+    scans = scenes.stacked(scenes.padded(places))
+    state = tracker.init(params, jax.random.key(0))
+    step = functools.partial(tracker.step, params)
+    _, estimates = jax.lax.scan(lambda state, scan: step(state, scan), state, scans)
+    last = jax.tree.map(lambda x: x[-1], estimates)
+    return last, estimates.log_evidence.sum()
+
+
+def exact(drawn, places):
+    key = jax.random.key(0)
+    scans = scenes.scans_of(places)
+    params = scenes.params_of(drawn)
+    return oracle.posterior(scenes.target, params, scans, key, max_targets=MAX)
+
+
+@functools.cache
+def both(**less):
+    tracker = hypothesis_mht.hypothesis_mht(scenes.target, **{**ROOM, **less})
+    drawn = scenes.stacked([scenes.draw(seed) for seed in range(NUM)])
+    places = scenes.stacked([scenes.detections(seed, SIZES) for seed in range(NUM)])
+    found = jax.jit(jax.vmap(lambda d, p: track(d, p, tracker)))(drawn, places)
+    return found, jax.jit(jax.vmap(exact))(drawn, places)
+
+
+def test_with_room_for_all_it_is_the_posterior():
+    (estimate, log_evidence), truth = both()
+    np.testing.assert_allclose(log_evidence, truth.log_evidence, rtol=1e-10)
+    number = enumeration.count(SIZES)
+    expected = -np.sort(-np.asarray(truth.log_prob), axis=1)
+    np.testing.assert_allclose(estimate.log_prob[:, :number], expected, rtol=1e-10)
+    assert (estimate.log_prob[:, number:] == -np.inf).all()
+    assert (estimate.dropped < 1e-12).all()  # roundings of sums of order one
+
+
+def test_it_knows_how_many_targets_there_are():
+    (estimate, _), truth = both()
+    count = np.arange(MAX + 1)
+    mean = truth.num_prob @ count
+    np.testing.assert_allclose(estimate.num_mean, mean, rtol=1e-9)
+    var = truth.num_prob @ count**2 - mean**2
+    np.testing.assert_allclose(estimate.num_var, var, rtol=1e-8)
+
+
+def test_tracks_are_as_likely_as_all_hypotheses_say():
+    (estimate, _), truth = both()
+    listed = enumeration.table(SIZES)
+    begun = (listed.track >= 0).argmax(1)
+    which = listed.track[np.arange(len(begun)), begun]
+    for scan, size in enumerate(SIZES):
+        for k in range(size):
+            label = scan * max(SIZES) + k
+            mine = (begun == scan) & (which == k)
+            share = truth.track_prob * truth.existence_prob
+            expected = share[:, mine].sum(1)
+            found = (estimate.existence_prob * (estimate.label == label)).sum(1)
+            np.testing.assert_allclose(found, expected, rtol=1e-9)
+    best = np.asarray(truth.log_prob).argmax(1)
+    member = listed.member[best]
+    there = np.where(member, truth.existence_prob, 0) > 0.5
+    np.testing.assert_array_equal(estimate.exists.sum(1), there.sum(1))
+
+
+def test_pruning_loses_little_and_says_so():
+    _, truth = both()
+    error, dropped = [], []
+    for size in (2, 8, 48):
+        (estimate, log_evidence), _ = both(max_hypotheses=size)
+        error.append(abs(truth.log_evidence - log_evidence).mean())
+        dropped.append(estimate.dropped.mean())
+    assert (np.diff(error) < 0).all()
+    assert (np.diff(dropped) < 0).all()
+    assert error[-1] < 1e-9  # the same sums
+    assert error[1] < 0.3
