@@ -16,6 +16,7 @@ those of `host`, which call SciPy.
 """
 
 from jaxtrack.assign.multiscan import (
+    beam,
     decomposition,
     entropic,
     greedy,
@@ -30,6 +31,7 @@ from jaxtrack.assign.multiscan import (
 )
 
 __all__ = [
+    "beam",
     "decomposition",
     "entropic",
     "greedy",
