@@ -90,12 +90,22 @@ def add(log_prob: Array, other: Array) -> tuple[Array, Array]:
         the probability that it is not, or that it was left out of the two numbers. If
         no sum below N is possible all are -inf.
     """
-    rest = jnp.arange(log_prob.size)[:, None] - jnp.arange(other.size)[None]
-    first = jnp.where(rest >= 0, log_prob[jnp.maximum(rest, 0)], -jnp.inf)
-    summed = _totals(first + other[None])
+    summed = convolve(log_prob, other)
     kept = mixture.total(summed)
     scale = jnp.where(kept == -jnp.inf, 0.0, kept)
     return summed - scale, jnp.maximum(-jnp.expm1(kept), 0.0)
+
+
+def convolve(log_value: Array, other: Array) -> Array:
+    """Returns the logs of the first N coefficients of a product of polynomials, [N].
+
+    Args:
+        log_value: Of the coefficients of the one, [N].
+        other: The same of the other, [B].
+    """
+    rest = jnp.arange(log_value.size)[:, None] - jnp.arange(other.size)[None]
+    first = jnp.where(rest >= 0, log_value[jnp.maximum(rest, 0)], -jnp.inf)
+    return _totals(first + other[None])
 
 
 def symmetric(

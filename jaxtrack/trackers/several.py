@@ -19,7 +19,9 @@ report at different times share one sequence of scans.
   the order given, and what comes of it is reduced each time. The result depends on the
   order: each update assumes anew that targets are Poisson or independent.
 * "product": what each sensor says about the targets is worked out from the prediction,
-  as if it were alone, and then multiplied. Only the reduction knows an order.
+  as if it were alone, and then multiplied: of a PHD or CPHD filter for each group of
+  components that share detections, of a CBMeMBer filter for each track. Only the
+  reduction knows an order.
 
 How far off they are, against Bayes' rule by enumeration: two sensors, up to two targets
 near each other, two detections each, P_D 0.6 to 0.98, 60 random scenes
@@ -34,9 +36,8 @@ log-evidence; and, for 40 scenes, how much the number changes with the order.
 
 For one target at most CPHD is exact in both forms, and CBMeMBer in the product form.
 
-There both sensors see everything. Where their fields of view differ, the product form
-of PHD and CPHD multiplies what they say about the number without knowing where, and is
-far worse than the iterated one: see `scenarios.two_sensors`.
+There both sensors see everything. Where their fields of view differ, see
+`scenarios.two_sensors` and docs/two_sensors.md.
 """
 
 from collections.abc import Sequence

@@ -6,25 +6,16 @@ scan multiplies an intensity by a pseudo-likelihood, here for one sensor
     a (1 - P_D(x)) + sum over k of b_k P_D(x) g(z_k | x)
 
 In the iterated form the factors a and b_k are worked out from what the sensors before
-have left, in the product form from the prediction. Then the number of targets is
-
-    p(n) proportional to p0(n) prod_s (p_s(n) / p0(n)) theta^n
-
-p0 before, p_s after sensor s alone, and theta what the normalised pseudo-likelihoods of
-all sensors have in common: the integral of their product over the normalised intensity.
-The intensity is scaled to the mean of this. For the PHD filter p0 is Poisson and p_s a
-Poisson number of missed targets and one Bernoulli number for each detection.
+have left, in the product form from the prediction. Their ratio says where in a group of
+components that share detections the targets are; how many there are in each group, and
+in all, is worked out for all sensors together (`several_groups`), and each group is
+scaled to its expected number. For the PHD filter the number before is Poisson.
 
 Both are exact for one target at most (a number that is 0 or 1), whatever the sensors.
 
-    >>> import jax.numpy as jnp
-    >>> from jaxtrack import cardinality
     >>> from jaxtrack.trackers import several_intensity
-    >>> prior = jnp.log(jnp.array([0.5, 0.5]))
-    >>> seen = jnp.log(jnp.array([0.2, 0.8]))  # by each of two sensors alone
-    >>> together = several_intensity.agree(prior, [seen, seen], jnp.log(1.0))
-    >>> print(jnp.exp(together - together[1]).round(4))  # odds of 4, times 4
-    [0.0625 1.    ]
+    >>> several_intensity.Taught._fields[:2]
+    ('components', 'log_number')
 
 References: Mahler, "Approximate multisensor CPHD and PHD filters", Fusion 2010;
 iterated-corrector: Mahler, "Multitarget Bayes filtering via first-order multitarget
@@ -34,11 +25,12 @@ moments", IEEE Trans. Aerospace and Electronic Systems 39(4), 2003.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxtrack import cardinality, mixture
 from jaxtrack.linalg import safe_log
-from jaxtrack.trackers import intensity, phd, reduction
+from jaxtrack.trackers import intensity, phd, reduction, several_groups
 from jaxtrack.trackers.intensity import Components, Params, Sighting, Update
 from jaxtrack.types import Array, Scan, Target
 
@@ -121,35 +113,65 @@ def product(
     log_number: Array,
 ) -> Taught:
     """Multiplies what all sensors say of the prediction; arguments as in `iterated`."""
-    log_before = mixture.total(components.log_weight)
-    running, log_total, log_theta = components, log_before, jnp.zeros(())
-    lost, alone = jnp.zeros(()), []
-    for params, scan in each:
-        sighting = intensity.see(target, params, components, scan, size.max_scored)
-        said, number = weigh(sighting, log_number, params.clutter.rate)
-        alone.append((said, number))
+    num, number = components.log_weight.size, log_number.size
+    sightings = [
+        intensity.see(target, params, components, scan, size.max_scored)
+        for params, scan in each
+    ]
+    group = several_groups.groups(sightings)
+    log_before = several_groups.totals(components.log_weight, group, num)
+    # For the time being a component is called by where it comes from.
+    running = components._replace(label=jnp.arange(num))
+    log_theta, lost, alone = jnp.zeros(num), jnp.zeros(()), []
+    log_explained = jnp.zeros((num, number))
+    for (params, scan), sighting in zip(each, sightings, strict=True):
+        said, _ = weigh(sighting, log_number, params.clutter.rate)
+        alone.append(said)
         seen = intensity.see(target, params, running, scan, size.max_scored)
         update = _apply(seen, *factors(sighting, said), said)
-        growth = _gap(_total(update), mixture.total(running.log_weight))
-        log_total = log_total + growth
-        log_theta = log_theta + growth - _gap(_total(said), log_before)
+        log_theta = log_theta + _growth(update, running, group[running.label], num)
+        log_theta = log_theta - _growth(said, components, group, num)
+        log_explained += several_groups.explain(sighting, group, number)
         running, gone = reduction.reduce(
             size, target, params.target, running.label, update, scan
         )
         lost = lost + gone * jnp.exp(-_finite(_total(update)))
 
-    log_joint = agree(log_number, [number for _, number in alone], log_theta)
-    posterior = mixture.log_normalise(log_joint)
-    expected = cardinality.mean(posterior)
-    scale = safe_log(expected) - _finite(log_total)
-    scaled = running._replace(log_weight=running.log_weight + scale)
-    evidence = jnp.stack([said.log_evidence for said, _ in alone]).sum()
+    log_share = log_before - _finite(mixture.total(log_before))
+    log_joint, expected = several_groups.join(
+        log_number, log_share, log_explained, log_theta
+    )
+    clutter = [
+        sighting.log_clutter.sum() - params.clutter.rate
+        for (params, _), sighting in zip(each, sightings, strict=True)
+    ]
     return Taught(
-        components=scaled,
-        log_number=posterior,
-        log_evidence=evidence + mixture.total(log_joint),
-        unexplained_prob=tuple(said.unexplained_prob for said, _ in alone),
-        dropped=lost * expected,
+        components=_scaled(running, components.label, group, expected),
+        log_number=mixture.log_normalise(log_joint),
+        log_evidence=jnp.stack(clutter).sum() + mixture.total(log_joint),
+        unexplained_prob=tuple(said.unexplained_prob for said in alone),
+        dropped=lost * expected.sum(),
+    )
+
+
+def _growth(update: Update, components: Components, group: Array, size: int) -> Array:
+    """Returns the log of what an update multiplies each group's weight by, [G]."""
+    every = jnp.concatenate([update.log_missed[:, None], update.log_hit], 1)
+    after = jax.vmap(mixture.total)(every)
+    both = after, components.log_weight
+    return _gap(*(several_groups.totals(x, group, size) for x in both))
+
+
+def _scaled(
+    components: Components, label: Array, group: Array, expected: Array
+) -> Components:
+    """Gives each group its expected number of targets, and components their labels."""
+    ancestor = components.label
+    own = group[ancestor]
+    log_total = several_groups.totals(components.log_weight, own, group.size)
+    scale = safe_log(expected) - _finite(log_total)
+    return components._replace(
+        log_weight=components.log_weight + scale[own], label=label[ancestor]
     )
 
 
@@ -172,27 +194,6 @@ def factors(sighting: Sighting, update: Update) -> tuple[Array, Array]:
         _gap(update.log_missed[first], missed[first]),
         _gap(update.log_hit[best, at], claim[best, at]),
     )
-
-
-def agree(log_prior: Array, log_posteriors: Sequence[Array], log_theta: Array) -> Array:
-    """Multiplies what sensors say about the number of targets.
-
-    Args:
-        log_prior: Log-probabilities before, [C].
-        log_posteriors: After each sensor alone, [C] each.
-        log_theta: How much better one target explains all scans together than the
-            normalised pseudo-likelihoods do one by one.
-
-    Returns:
-        Logarithms [C]; the sum is the density of all scans, in units of the product of
-        their densities alone.
-    """
-    possible = log_prior > -jnp.inf
-    prior = jnp.where(possible, log_prior, 0.0)
-    joint = prior + log_theta * jnp.arange(log_prior.size)
-    for log_posterior in log_posteriors:
-        joint = joint + log_posterior - prior
-    return jnp.where(possible, joint, -jnp.inf)
 
 
 def _apply(seen: Sighting, log_miss: Array, log_hit: Array, said: Update) -> Update:
