@@ -1,10 +1,12 @@
 import json
+import types
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from jaxtrack.cli import app
+from jaxtrack.cli import app, track
+from jaxtrack.recorded import settings
 
 pd = pytest.importorskip("pandas")
 
@@ -56,6 +58,31 @@ def refused(call):
         return lines[0]
 
     return run
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "detect_prob", "word"),
+    [
+        ("cbmember", 1.0, 0.95, ""),
+        ("cbmember", 40.0, 0.95, "0.81 false detections are expected in a gate"),
+        ("cbmember", 1.0, 0.7, "takes P_D for near one, and it is 0.7"),
+        ("jipda", 40.0, 0.7, ""),
+    ],
+)
+def test_what_a_cbmember_filter_does_not_bear_is_told(
+    capsys, name, rate, detect_prob, word
+):
+    """At 10 m a gate of 5,655 m^2, in a box of 400 x 700 m."""
+    some = settings.with_algorithm(settings.Settings(), name)
+    some = some._replace(
+        sensor=settings.Sensor(noise_std=10.0, clutter_rate=rate),
+        modes={"any": settings.Mode(detect_prob=detect_prob)},
+    )
+    table = types.SimpleNamespace(xy=np.array([[0.0, 0.0], [200.0, 500.0]]))
+    track.warn_limits(table, some)
+    told = capsys.readouterr().err
+    assert word in told
+    assert ("jipda" in told) == bool(word)
 
 
 def test_track_writes_tracks_a_picture_and_scores(call, tmp_path):

@@ -83,6 +83,7 @@ def track(
         typer.echo(sentence(part))
     write(out, table, result, summary, truth_column)
     warn(summary)
+    warn_limits(table, result.settings)
     typer.echo(f"Wrote tracks.csv, tracks.png, summary.json in {out}.")
 
 
@@ -172,6 +173,28 @@ def warn(summary: dict[str, Any]) -> None:
             "Warning: most scans hold a single detection; if targets report one by "
             "one, set a period in [scans]."
         )
+
+
+def warn_limits(table: "Table", settings: "Settings") -> None:
+    """Says if a CBMeMBer filter is asked for more than it bears.
+
+    Clutter is where detections are, and a target is expected as well as it is measured.
+    """
+    import numpy as np
+
+    from jaxtrack.trackers import limits
+
+    if settings.tracker.name != "cbmember":
+        return
+    variance = (settings.sensor.noise_std or 0.0) ** 2
+    sides = np.ptp(table.xy, axis=0) + 20 * variance**0.5
+    false = limits.false_in_gate(
+        settings.sensor.clutter_rate / sides.prod(), 2 * variance * np.eye(2)
+    )
+    best = max(mode.detect_prob for mode in settings.modes.values())
+    message = limits.warning("cbmember", best, false, "use --tracker jipda")
+    if message is not None:
+        common.say(f"Warning: {message}.")
 
 
 @contextlib.contextmanager

@@ -57,7 +57,10 @@ def false_in_gate(clutter_density: Array | float, innovation_cov: Array) -> Arra
 
 
 def warning(
-    tracker: str, detect_prob: float, false_detections: Array | float
+    tracker: str,
+    detect_prob: float,
+    false_detections: Array | float,
+    remedy: str = 'use balance="claims"',
 ) -> str | None:
     """Says what is outside of what a CBMeMBer filter bears, or None.
 
@@ -65,8 +68,8 @@ def warning(
         tracker: What to call it.
         detect_prob: Where the sensor sees best.
         false_detections: Expected in a gate, see `false_in_gate`.
+        remedy: What to do instead.
     """
-    remedy = 'use balance="claims"'
     if float(false_detections) > MOST_FALSE:
         return (
             f"{tracker} counts clutter beside targets as targets, and "
