@@ -54,8 +54,9 @@ def test_with_room_for_all_it_is_the_posterior():
     np.testing.assert_allclose(log_evidence, truth.log_evidence, rtol=1e-10)
     number = enumeration.count(SIZES)
     expected = -np.sort(-np.asarray(truth.log_prob), axis=1)
-    np.testing.assert_allclose(estimate.log_prob[:, :number], expected, rtol=1e-10)
-    assert (estimate.log_prob[:, number:] == -np.inf).all()
+    prob = estimate.hypothesis_prob
+    np.testing.assert_allclose(prob[:, :number], np.exp(expected), rtol=1e-10)
+    assert (prob[:, number:] == 0).all()
     assert (estimate.dropped < 1e-12).all()  # roundings of sums of order one
 
 

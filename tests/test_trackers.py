@@ -12,6 +12,7 @@ from cases import slopes
 from cases.runs import alone, batched, in_float32, roomy, runner, to_numpy
 from cases.trackers import (
     CASES,
+    HYPOTHESES,
     SAMPLED,
     SCANS,
     SECOND_VARIANTS,
@@ -37,8 +38,9 @@ NAMES = [
     for name in CASES
 ]
 # A roomy tracker that merges takes into its tracks what a tight one has dropped, and a
-# CPHD filter's weights add up to its expected number, whatever was dropped.
-ELASTIC = {"cbmember_merging", "cphd_imm", "cphd_detection_birth"}
+# CPHD filter's weights add up to its expected number, whatever was dropped. Hypotheses
+# that go make others likelier.
+ELASTIC = {"cbmember_merging", "cphd_imm", "cphd_detection_birth", *HYPOTHESES}
 EQUAL_BIRTHS = {
     "cbmember_detection_birth",
     "cphd_detection_birth",
@@ -46,6 +48,7 @@ EQUAL_BIRTHS = {
     "gnn",
     "ipda",
     "jpda",
+    *HYPOTHESES,
 }
 every_tracker = pytest.mark.parametrize("name", NAMES)
 every_certain_tracker = pytest.mark.parametrize(

@@ -189,7 +189,7 @@ def follow(
     )
 
 
-def plant(forest: Forest, firsts: Firsts, next_label: Array) -> Forest:
+def plant(forest: Forest, firsts: Firsts, next_label: Array) -> tuple[Forest, Array]:
     """Adds a tree for each detection, of a target detected for the first time.
 
     Args:
@@ -198,7 +198,8 @@ def plant(forest: Forest, firsts: Firsts, next_label: Array) -> Forest:
         next_label: The first free label.
 
     Returns:
-        N + K trees; those of impossible detections are empty.
+        N + K trees, of which those of impossible detections are empty, and the next
+        free label.
     """
     num = len(firsts.log_score)
     _, leaves, scans = forest.past.shape
@@ -215,9 +216,10 @@ def plant(forest: Forest, firsts: Firsts, next_label: Array) -> Forest:
             firsts.belief,
         ),
         past=past.at[:, 0, -1].set(jnp.where(alive, detection, -1)),
-        label=jnp.where(alive, next_label + jnp.arange(num), -1),
+        label=jnp.where(alive, next_label + jnp.cumsum(alive) - 1, -1),
         age=alive.astype(forest.age.dtype),
     )
-    return jax.tree.map(
+    both = jax.tree.map(
         lambda x, y: jnp.concatenate([x, y.astype(x.dtype)]), forest, trees
     )
+    return both, next_label + alive.sum()

@@ -172,18 +172,17 @@ def _step(
         state.hypotheses, met.sight.log_score, met.firsts.log_score
     )
     children = global_hypotheses.follow(state.hypotheses, scores, settings.max_children)
-    trees, hypotheses = _grow(settings, params, state, met, children, scan)
+    trees, hypotheses, label = _grow(settings, params, state, met, children, scan)
     share = mixture.total(hypotheses.log_weight) - children.log_total
     trees, hypotheses, lost = thinning.thin(
         target, settings.thinning, trees, hypotheses
     )
     hidden, unseen = undetected.reduce(met.firsts.missed, settings.max_undetected)
-    label = state.next_label + len(scan.valid)
     estimate = verdict.report(
         target,
         trees,
-        hypotheses.leaf,
-        hypotheses.log_weight,
+        verdict.joint(hypotheses.leaf, hypotheses.log_weight),
+        jnp.exp(hypotheses.log_weight),
         hidden.expected,
         settings.report_threshold,
         log_evidence=children.log_total + met.log_constant,
@@ -201,7 +200,7 @@ def _grow(
     met: meeting.Meeting,
     children: global_hypotheses.Children,
     scan: Scan,
-) -> tuple[Forest, Hypotheses]:
+) -> tuple[Forest, Hypotheses, Array]:
     """Corrects the leaves that the children need, and begins trees."""
     num, columns = settings.thinning.max_tracks, len(scan.valid) + 1
     wanted = _leaves(settings, state.hypotheses, children, columns)
@@ -217,8 +216,8 @@ def _grow(
         column,
         code >= 0,
     )
-    trees = forest.plant(trees, met.firsts, state.next_label)
-    return trees, wanted.hypotheses
+    trees, label = forest.plant(trees, met.firsts, state.next_label)
+    return trees, wanted.hypotheses, label
 
 
 def _leaves(

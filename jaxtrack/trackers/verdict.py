@@ -2,14 +2,14 @@
 
 The best hypothesis says which tracks to report and where; all of them together say how
 likely each track is, how many targets to expect, and whether the best one is to be
-trusted: with an entropy near 0 and a wide gap to the second the association was easy
-and one hypothesis would have done; where many are level, no display of one is right.
+trusted: with an entropy near 0 and no second near the best the association was easy and
+one hypothesis would have done; where many are level, no display of one is right.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import verdict
     >>> sure, torn = jnp.log(jnp.array([1.0, 0.0])), jnp.log(jnp.array([0.5, 0.5]))
-    >>> print(verdict.entropy(sure), verdict.entropy(torn).round(3), verdict.gap(torn))
-    0.0 0.693 0.0
+    >>> print(verdict.entropy(sure), verdict.entropy(torn).round(3))
+    0.0 0.693
 
 Reference: Chong, Mori and Reid, "Forty years of multiple hypothesis tracking", Journal
 of Advances in Information Fusion 14(2), 2019, sections III and VII.
@@ -41,9 +41,12 @@ class Estimate(NamedTuple):
         num_var: Variance of that number.
         log_evidence: Log-density of the scan given the past.
         dropped: Expected number of targets, or parts of them, that found no room.
-        log_prob: Of each hypothesis that was kept; -inf for none, [H].
-        entropy: Of these probabilities.
-        gap: How much likelier the best is than the second, the log of a ratio.
+        hypothesis_prob: Of the likeliest hypotheses, best first, [H].
+        entropy: Of the probabilities of all hypotheses that were found, in nats.
+        runner_up: How likely the second best is for each unit of the best: 0 if there
+            is none, 1 if they are level.
+        log_loss: How much likelier than the best of them one may be that was not
+            found, the log of a ratio; 0 if there is none.
     """
 
     mean: Array
@@ -57,24 +60,44 @@ class Estimate(NamedTuple):
     num_var: Array
     log_evidence: Array
     dropped: Array
-    log_prob: Array
+    hypothesis_prob: Array
     entropy: Array
-    gap: Array
+    runner_up: Array
+    log_loss: Array
+
+
+class Views(NamedTuple):
+    """What may be, cluster by cluster; clusters are independent of each other.
+
+    Attributes:
+        leaf: Of each tree, in the hypotheses about its cluster, -1 for none, [H, N].
+        log_prob: Of these hypotheses; equal in all trees of a cluster, [H, N].
+        label: Which cluster each tree is in, by its first tree, [N] (int).
+    """
+
+    leaf: Array
+    log_prob: Array
+    label: Array
+
+
+def joint(leaf: Array, log_prob: Array) -> Views:
+    """Returns hypotheses [H, N] about all trees as those of a single cluster."""
+    rows = jnp.broadcast_to(log_prob[:, None], leaf.shape)
+    return Views(leaf, rows, jnp.zeros(leaf.shape[1], int))
 
 
 def entropy(log_prob: Array) -> Array:
     """Returns the entropy of some probabilities [H], in nats."""
     there = log_prob > -jnp.inf
-    return -jnp.where(
-        there, jnp.exp(log_prob) * jnp.where(there, log_prob, 0.0), 0
-    ).sum()
+    safe = jnp.where(there, log_prob, 0.0)
+    return -jnp.where(there, jnp.exp(safe) * safe, 0.0).sum()
 
 
-def gap(log_prob: Array) -> Array:
-    """Returns how much likelier the best is than the second; inf if it is alone."""
+def runner_up(log_prob: Array) -> Array:
+    """Returns how likely the second best [H] is for each unit of the best."""
     best = jnp.argmax(log_prob)
     others = jnp.where(jnp.arange(log_prob.size) == best, -jnp.inf, log_prob)
-    return log_prob[best] - others.max()
+    return jnp.exp(others.max(initial=-jnp.inf) - log_prob[best])
 
 
 def exists(forest: Forest, leaf: Array) -> Array:
@@ -89,55 +112,79 @@ def exists(forest: Forest, leaf: Array) -> Array:
     return jnp.where(leaf >= 0, forest.existence_prob[tree, known], 0.0)
 
 
+def variance(there: Array, views: Views) -> Array:
+    """Returns the variance of the number of targets in the trees.
+
+    Args:
+        there: How likely each target is to exist, in each hypothesis, [H, N].
+        views: What may be.
+    """
+    prob = jnp.exp(views.log_prob)
+    within = (prob * there * (1 - there)).sum()
+    same = (views.label[:, None] == views.label[None]).astype(there.dtype)
+    number = there @ same  # in the whole cluster, [H, N]
+    mean = (prob * number).sum(0)
+    between = (prob * (number - mean[None]) ** 2).sum(0)
+    return within + jnp.where(_leads(views), between, 0.0).sum()
+
+
+def _leads(views: Views) -> Array:
+    """Returns which trees are the first of their cluster, [N] (bool)."""
+    return views.label == jnp.arange(views.label.size)
+
+
 def report(
     target: Target,
     forest: Forest,
-    leaf: Array,
-    log_prob: Array,
+    views: Views,
+    hypothesis_prob: Array,
     hidden: Array,
     threshold: float,
     log_evidence: Array,
     dropped: Array,
+    log_loss: Array | float = 0.0,
 ) -> Estimate:
     """Reports the best hypothesis, and how sure it is.
 
     Args:
         target: How one target is filtered.
         forest: N trees.
-        leaf: Which one each hypothesis has of each tree, -1 for none, [H, N].
-        log_prob: Of each hypothesis, [H].
+        views: What may be.
+        hypothesis_prob: Of the likeliest hypotheses about all trees together, [H].
         hidden: Expected number of undetected targets.
         threshold: Probability of still being there above which a track is reported.
         log_evidence: Log-density of the scan.
         dropped: Expected number of targets that the capacities threw away.
+        log_loss: How much likelier than the best of them one may be.
     """
-    prob = jnp.exp(log_prob)
-    there = exists(forest, leaf)
-    existence_prob = (prob[:, None] * there).sum(0)
-    best = leaf[jnp.argmax(log_prob)]
+    prob = jnp.exp(views.log_prob)
+    there = exists(forest, views.leaf)
+    existence_prob = (prob * there).sum(0)
+    row, tree = jnp.argmax(views.log_prob, axis=0), jnp.arange(views.label.size)
+    best = views.leaf[row, tree]
     column = jnp.arange(forest.log_score.shape[1])
-    share = jnp.where(leaf[:, :, None] == column[None, None], prob[:, None, None], 0.0)
-    shown = jnp.where(best >= 0, best, jnp.argmax(share.sum(0), axis=1))
-    belief = jax.tree.map(
-        lambda x: jax.vmap(lambda tree, at: tree[at])(x, shown), forest.belief
-    )
+    has = views.leaf[:, :, None] == column[None, None]
+    share = jnp.where(has, prob[:, :, None], 0.0).sum(0)
+    shown = jnp.where(best >= 0, best, jnp.argmax(share, axis=1))
+    belief = jax.tree.map(lambda x: x[tree, shown], forest.belief)
     moments = jax.vmap(target.moments)(belief)
-    number = there.sum(1)  # given each hypothesis
-    mean = (prob * number).sum()
-    within = (prob * (there * (1 - there)).sum(1)).sum()
+    first = _leads(views)
+    seconds = jax.vmap(runner_up, in_axes=1)(views.log_prob)
+    entropies = jax.vmap(entropy, in_axes=1)(views.log_prob)
     return Estimate(
         mean=moments.mean,
         cov=moments.cov,
         label=forest.label,
-        exists=there[jnp.argmax(log_prob)] > threshold,
+        exists=there[row, tree] > threshold,
         existence_prob=existence_prob,
         mode_prob=jax.vmap(target.modes)(belief),
         effective_size=jax.vmap(target.effective_size)(belief),
-        num_mean=mean + hidden,
-        num_var=within + (prob * (number - mean) ** 2).sum() + hidden,
+        num_mean=existence_prob.sum() + hidden,
+        num_var=variance(there, views) + hidden,
         log_evidence=log_evidence,
         dropped=dropped,
-        log_prob=log_prob,
-        entropy=entropy(log_prob),
-        gap=gap(log_prob),
+        hypothesis_prob=hypothesis_prob,
+        entropy=jnp.where(first, entropies, 0.0).sum(),
+        runner_up=jnp.where(first, seconds, 0.0).max(initial=0.0),
+        log_loss=jnp.asarray(log_loss, prob.dtype),
     )

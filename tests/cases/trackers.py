@@ -271,6 +271,17 @@ def associating_case(name):
 
 ASSOCIATING = ("nearest", "gnn", "ipda", "jpda", "jipda")
 CASES |= {name: functools.partial(associating_case, name) for name in ASSOCIATING}
+
+
+def hypothesis_case(name):
+    """So have those that follow hypotheses."""
+    from cases import hypothesis_trackers
+
+    return hypothesis_trackers.CASES[name]()
+
+
+HYPOTHESES = ("hypothesis_mht", "mht_imm", "mht_detection_birth")
+CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles"}
 # The first compiles for a minute; the second is the tracker of `cbmember_imm`.

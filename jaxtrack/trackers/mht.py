@@ -1,0 +1,296 @@
+"""Multiple hypothesis tracking, track by track: trees of track hypotheses.
+
+Every track tree keeps the likeliest of its leaves, whichever global hypothesis they may
+belong to. Hypotheses are made only when they are needed: an assignment over the last
+scans gives each tree one leaf, and no detection to two. The best of them decides what
+lies `num_scans` scans back: leaves that say otherwise go. One scan is
+
+    trees, hidden = predict(trees, hidden)
+    scores, firsts = look(trees, hidden, scan)
+    trees = each leaf followed by the detections in its gate, the likeliest kept
+    hypotheses = assign(trees)                    # over num_scans + 1 scans
+    trees = those that agree with the best hypothesis, num_scans ago
+
+With `num_scans=0` it is global nearest neighbour. `mht(target=imm())` is IMM-MHT.
+
+`log_evidence` is the log-density of the scan given the leaves that were kept, summed
+over the hypotheses that were found; `log_loss` tells how much better than the best of
+these another one may be.
+
+    >>> from jaxtrack import targets
+    >>> from jaxtrack.trackers import mht
+    >>> tracker = mht.mht(targets.single.single(), num_scans=2)
+
+References: Kurien, "Issues in the design of practical multitarget tracking algorithms",
+in Multitarget-Multisensor Tracking, ed. Bar-Shalom, 1990; Poore, "Multidimensional
+assignment formulation of data association problems arising from multitarget and
+multisensor tracking", Computational Optimization and Applications 3, 1994; Chong, Mori
+and Reid, "Forty years of multiple hypothesis tracking", Journal of Advances in
+Information Fusion 14(2), 2019, section IV.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import gate, mixture
+from jaxtrack.trackers import (
+    association,
+    forest,
+    meeting,
+    multiscan_choice,
+    thinning,
+    undetected,
+    verdict,
+)
+from jaxtrack.trackers.forest import Forest
+from jaxtrack.trackers.multiscan_choice import Choice
+from jaxtrack.trackers.undetected import Params, Undetected
+from jaxtrack.types import Array, Scan, Target, Tracker
+
+SURELY = 2.0  # ranks before any probability
+
+
+class State(NamedTuple):
+    """What the next scan needs.
+
+    Attributes:
+        trees: N trees with L leaves, of S = num_scans + 1 scans.
+        best: The leaf that the best hypothesis has of each, -1 for none, [N].
+        log_total: Log-weight of all hypotheses about these trees that were found.
+        undetected: U components.
+        next_label: The first free label.
+        key: Random key.
+    """
+
+    trees: Forest
+    best: Array
+    log_total: Array
+    undetected: Undetected
+    next_label: Array
+    key: Array
+
+
+class Settings(NamedTuple):
+    """The maker's arguments."""
+
+    target: Target
+    choose: multiscan_choice.Chooser
+    max_leaves: int
+    max_undetected: int
+    num_scans: int
+    gating: association.Gating
+    thinning: thinning.Thinning
+    report_threshold: float
+
+
+@functools.cache
+def mht(
+    target: Target,
+    num_scans: int = 2,
+    solver: str = "lagrangian",
+    max_hypotheses: int = 32,
+    max_tracks: int = 64,
+    max_leaves: int = 10,
+    max_undetected: int = 16,
+    gate_prob: float = 0.999,
+    prune_threshold: float = 1e-5,
+    exist_threshold: float = 1e-3,
+    report_threshold: float = 0.5,
+) -> Tracker:
+    """Makes a track-oriented multiple hypothesis tracker.
+
+    Args:
+        target: How one target is filtered, e.g. `targets.single.single()`.
+        num_scans: Scans after which the best hypothesis decides; 0 decides at once.
+        solver: How that is found: "lagrangian", "decomposition", "greedy", or "exact",
+            which calls SciPy's HiGHS on the host.
+        max_hypotheses: Hypotheses by which probabilities are found, the likeliest; with
+            1 the best is believed.
+        max_tracks: Trees kept after a scan.
+        max_leaves: Leaves kept of each, the likeliest.
+        max_undetected: Components kept of the intensity of undetected targets.
+        gate_prob: P_G; 1 for no gate.
+        prune_threshold: Leaves of less weight than this share of their tree's go.
+        exist_threshold: A tree goes where its target exists with less probability.
+        report_threshold: A track of the best hypothesis is reported where its target
+            exists with more probability.
+
+    Raises:
+        ValueError: A setting that makes no sense.
+    """
+    sizes = {
+        "max_hypotheses": max_hypotheses,
+        "max_tracks": max_tracks,
+        "max_leaves": max_leaves,
+        "max_undetected": max_undetected,
+    }
+    for name, size in sizes.items():
+        if size < 1:
+            raise ValueError(f"{name} is {size}; give at least 1")
+    if num_scans < 0:
+        raise ValueError(f"num_scans is {num_scans}; give 0 or more")
+    gate.check(gate_prob)
+    limits = thinning.Thinning(max_tracks, prune_threshold, exist_threshold)
+    thinning.check(limits)
+    thinning.check_share("report_threshold", report_threshold)
+    settings = Settings(
+        target=target,
+        choose=multiscan_choice.chooser(solver, max_hypotheses),
+        max_leaves=max_leaves,
+        max_undetected=max_undetected,
+        num_scans=num_scans,
+        gating=association.Gating(gate_prob, in_missed=False, counts_clutter=False),
+        thinning=limits,
+        report_threshold=report_threshold,
+    )
+    return Tracker(
+        init=functools.partial(_init, settings), step=functools.partial(_step, settings)
+    )
+
+
+def _init(settings: Settings, params: Params, key: Array) -> State:
+    """Starts with the known targets."""
+    keys, target = jax.random.split(key, 3), settings.target
+    hidden = undetected.begin(target, params, settings.max_undetected, keys[0])
+    shape = settings.thinning.max_tracks, settings.max_leaves, settings.num_scans + 1
+    trees = forest.begin(target, params, shape, keys[1])
+    zero = jnp.zeros((), trees.log_score.dtype)
+    best = jnp.where(trees.label >= 0, 0, -1)
+    return State(trees, best, zero, hidden, (trees.label >= 0).sum(), keys[2])
+
+
+def _step(
+    settings: Settings, params: Params, state: State, scan: Scan
+) -> tuple[State, verdict.Estimate]:
+    """Predicts, scores, grows the trees, finds the hypotheses, decides and prunes."""
+    target, scan = settings.target, association.filled(scan)
+    key, seed = jax.random.split(state.key)
+    met = meeting.meet(
+        settings.gating, target, params, state.trees, state.undetected, scan, seed
+    )
+    trees, lost_leaves = _grow(settings, params, met, state.best, scan)
+    trees, label = forest.plant(trees, met.firsts, state.next_label)
+    found = settings.choose(trees, _sure(settings, trees), len(scan.valid))
+    hidden, unseen = undetected.reduce(met.firsts.missed, settings.max_undetected)
+    estimate = verdict.report(
+        target,
+        trees,
+        found.views,
+        jnp.exp(found.log_joint - found.log_total),
+        hidden.expected,
+        settings.report_threshold,
+        log_evidence=found.log_total - state.log_total + met.log_constant,
+        dropped=unseen,
+        log_loss=found.log_loss,
+    )
+    trees, best, kept, log_after = _decide(settings, trees, found)
+    lost = (estimate.existence_prob[: lost_leaves.size] * lost_leaves).sum()
+    gone = estimate.existence_prob.sum() - estimate.existence_prob[kept].sum()
+    estimate = estimate._replace(dropped=unseen + lost + jnp.maximum(gone, 0.0))
+    estimate = _some(estimate, kept)
+    return State(trees, best, log_after, hidden, label, key), estimate
+
+
+def _sure(settings: Settings, trees: Forest) -> Array:
+    """Returns which trees a decision has made true: those begun before the window."""
+    return trees.age > settings.num_scans + 1
+
+
+def _grow(
+    settings: Settings,
+    params: Params,
+    met: meeting.Meeting,
+    best_leaf: Array,
+    scan: Scan,
+) -> tuple[Forest, Array]:
+    """Follows leaves by detections; returns the share of each tree that was lost, too.
+
+    Only the likeliest of them are corrected. That the best hypothesis goes on with
+    nothing detected is always among them, so that there is one that is possible.
+    """
+    trees, size = met.trees, settings.max_leaves
+    score = trees.log_score[:, :, None] + met.sight.log_score  # [N, L, K + 1]
+    columns = score.shape[2]
+    every = score.reshape(len(score), -1)
+    last = best_leaf * columns + columns - 1
+    safe = jnp.arange(every.shape[1])[None] == last[:, None]
+    rank = jnp.where(safe & (every > -jnp.inf), jnp.inf, every)
+    best, at = jax.lax.top_k(rank, min(size, every.shape[1]))
+    nothing = jnp.where(_sure(settings, trees), -jnp.inf, 0.0)
+    floor = jnp.maximum(every.max(1), nothing) + jnp.log(
+        settings.thinning.prune_threshold
+    )
+    there = (best > -jnp.inf) & (best >= floor[:, None])
+    if (short := size - best.shape[1]) > 0:
+        at, there = (jnp.pad(x, ((0, 0), (0, short))) for x in (at, there))
+    parent, column = jnp.divmod(at, columns)
+    grown = forest.follow(
+        settings.target,
+        params.target,
+        trees,
+        met.sight,
+        scan,
+        parent,
+        column,
+        there,
+    )
+    total = jax.vmap(mixture.total)
+    held, all_of_it = total(grown.log_score), total(every)
+    known = all_of_it > -jnp.inf
+    share = jnp.where(known, held, 0.0) - jnp.where(known, all_of_it, 0.0)
+    return grown, jnp.where(known, -jnp.expm1(jnp.minimum(share, 0.0)), 0.0)
+
+
+def _decide(
+    settings: Settings, trees: Forest, found: Choice
+) -> tuple[Forest, Array, Array, Array]:
+    """Keeps what agrees with the best hypothesis about the window's first scan.
+
+    Returns:
+        The trees that are kept; the best leaf of each; where they stood; and the
+        log-weight of the hypotheses about them.
+    """
+    limits, best, views = settings.thinning, found.best, found.views
+    tree = jnp.arange(best.size)
+    decided = jnp.where(best >= 0, trees.past[tree, jnp.maximum(best, 0), 0], -1)
+    agrees = (trees.past[:, :, 0] == decided[:, None]) & (trees.log_score > -jnp.inf)
+    sure = trees.age > settings.num_scans
+    there = verdict.exists(trees, views.leaf)
+    prob = (jnp.exp(views.log_prob) * there).sum(0)
+    score = jnp.where(agrees, trees.log_score, -jnp.inf)
+    chance = jax.nn.sigmoid(score.max(1))
+    rank = jnp.where(sure, SURELY, jnp.maximum(prob, chance))
+    dead = sure & (prob <= limits.exist_threshold)
+    rank = jnp.where(agrees.any(1) & ~dead, rank, -1.0)
+    likely, kept = jax.lax.top_k(rank, limits.max_tracks)
+    held = likely >= 0
+    # All hypotheses have a leaf of a sure tree: its best one counts as 0.
+    shift = jnp.where(sure, jnp.maximum(score.max(1), -1e30), 0.0)
+    score = score - shift[:, None]
+    some = jax.tree.map(lambda x: x[kept], trees)
+    some = some._replace(
+        log_score=jnp.where(held[:, None], score[kept], -jnp.inf),
+        existence_prob=jnp.where(
+            held[:, None] & agrees[kept], some.existence_prob, 0.0
+        ),
+        label=jnp.where(held, some.label, -1),
+        age=jnp.where(held, some.age, 0),
+    )
+    stay = jnp.zeros(best.size, bool).at[kept].set(held)
+    log_total = multiscan_choice.remaining(
+        found, trees._replace(log_score=score), stay, sure
+    )
+    return some, jnp.where(held, best[kept], -1), kept, log_total
+
+
+def _some(estimate: verdict.Estimate, kept: Array) -> verdict.Estimate:
+    """Returns the estimate about the trees that were kept."""
+    per_tree = {
+        name: getattr(estimate, name)[kept]
+        for name in ("mean", "cov", "label", "exists", "existence_prob", "mode_prob")
+    }
+    size = estimate.effective_size[kept]
+    return estimate._replace(effective_size=size, **per_tree)

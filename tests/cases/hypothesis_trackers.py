@@ -1,0 +1,63 @@
+"""The trackers that follow hypotheses, for the contract of `cases.trackers`."""
+
+import functools
+
+import numpy as np
+from cases import trackers
+from cases.trackers import array
+
+from jaxtrack.models import birth
+from jaxtrack.targets import imm, single
+from jaxtrack.trackers import hypothesis_mht, mht, undetected
+
+
+def line_params(target, num_modes):
+    places = trackers.line_births(num_modes)
+    births = birth.PoissonBirth(array(0.2, 0.1), *places[1:])
+    already = birth.PoissonBirth(array(0.5, 0.4), *places[1:])
+    return undetected.Params(target, births, trackers.line_clutter(), already)
+
+
+def line_case(maker, target, params, num_modes, **room):
+    plain = trackers.line_case(target, params, num_modes)
+    return plain._replace(
+        make=functools.partial(maker, target),
+        params=line_params(params, num_modes),
+        capacities={"max_tracks": 5, "max_leaves": 4, "max_undetected": 4, **room},
+        large={"max_tracks": 16, "max_leaves": 8, "max_undetected": 12, **room},
+    )
+
+
+def driven_case():
+    """Births where anything is detected for the first time."""
+    plain = line_case(mht.mht, single.single(), trackers.single_params(), 1)
+    births = birth.DetectionBirth(
+        rate=np.array(0.4),
+        max_existence_prob=np.array(1.0),
+        velocity_std=array(3.0),
+        extra_std=np.zeros(0),
+        mode_prob=np.ones(1),
+    )
+    params = plain.params._replace(birth=births, undetected=None)
+    room = {"num_scans": 1, "max_hypotheses": 8}
+    return plain._replace(
+        params=params,
+        capacities={**plain.capacities, **room},
+        large={**plain.large, **room},
+    )
+
+
+CASES = {
+    "hypothesis_mht": lambda: line_case(
+        hypothesis_mht.hypothesis_mht,
+        single.single(),
+        trackers.single_params(),
+        1,
+        max_hypotheses=12,
+        max_children=4,
+    ),
+    "mht_imm": lambda: line_case(
+        mht.mht, imm.imm(), trackers.two_mode_params(), 2, max_hypotheses=8
+    ),
+    "mht_detection_birth": driven_case,
+}
