@@ -15,8 +15,8 @@ from typing import Any
 from benchmarks import climit, table
 
 ALL = (
-    *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "jpda"),
-    *("phd", "particles", "cores", "start", "study", "growth"),
+    *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "multiscan"),
+    *("jpda", "phd", "particles", "cores", "start", "study", "growth"),
 )
 PACKAGES = (
     *("jax", "jaxlib", "numpy", "scipy"),

@@ -17,6 +17,7 @@ LATEST = HERE / "results" / "latest.json"
 README = HERE.parent / "README.md"
 BEGIN, END = "<!-- benchmarks -->\n", "<!-- end of benchmarks -->\n"
 Row = dict[str, Any]  # of the results
+LONG = "growth", "multiscan"  # not shown
 UNITS = {"G": 1e9, "M": 1e6, "k": 1e3}
 
 
@@ -56,7 +57,7 @@ def table(results: dict[str, Any]) -> str:
     made = results["made_with"]
     versions = ", ".join(f"{name} {x}" for name, x in made["versions"].items())
     head = ["| work | bits | rate | beside | share of C |", "|---|---|---|---|---|"]
-    shown = [row for row in results["rows"] if row["benchmark"] != "growth"]
+    shown = [row for row in results["rows"] if row["benchmark"] not in LONG]
     lines = [line(list(rows)) for _, rows in itertools.groupby(shown, same)]
     text = "\n".join([*head, *lines])
     return f"{text}\n\nMade on {made['cpu']}, with {versions}.\n"

@@ -13,8 +13,8 @@ from benchmarks import climit, common, problems, table
 
 FAST = ("gaussians",)
 SLOW = (
-    *("kalman", "extended", "imm", "gradient", "assign", "jpda"),
-    *("phd", "particles", "cores", "start", "study", "growth", "crowds"),
+    *("kalman", "extended", "imm", "gradient", "assign", "multiscan"),
+    *("jpda", "phd", "particles", "cores", "start", "study", "growth", "crowds"),
 )
 KEYS = {
     *("work", "precision", "rate", "unit", "peer", "ratio_to_peer", "limit"),

@@ -12,7 +12,7 @@ problems, and as the reference of what runs inside `jax.jit`.
     >>> found = host.exact(given, num_detections=1)
     >>> print(found.leaf, found.log_score)
     [0 1] 7.0
-    >>> print([one.log_score for one in host.m_best(given, 1, m=5)])
+    >>> print([float(one.log_score) for one in host.m_best(given, 1, m=5)])
     [7.0, 5.0, 4.0]
 
 References: Morefield, "Application of 0-1 integer programming to multitarget tracking
@@ -25,25 +25,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxtrack.assign.multiscan.problem import Problem
+from jaxtrack.assign.multiscan.problem import Answer, Problem
 
 SOLVED, STOPPED = 0, 1
-
-
-class Selection(NamedTuple):
-    """One leaf for each tree.
-
-    Attributes:
-        leaf: Of each tree, [N] (int); -1 where the tree is empty or nothing was found.
-        log_score: Sum of the chosen scores; -inf if not `feasible`.
-        log_bound: No selection has more.
-        feasible: Whether there is such a selection (bool).
-    """
-
-    leaf: np.ndarray
-    log_score: float
-    log_bound: float
-    feasible: bool
 
 
 class Relaxation(NamedTuple):
@@ -84,7 +68,7 @@ class _Programme(NamedTuple):
 
 def exact(
     problem: Problem, num_detections: int, time_limit: float | None = None
-) -> Selection:
+) -> Answer:
     """Finds the best selection.
 
     Args:
@@ -93,6 +77,9 @@ def exact(
         time_limit: Seconds, after which the best selection so far is given, with the
             bound so far; None for as long as it takes.
 
+    Returns:
+        Arrays of NumPy. The bound is the solver's own, and prices are zero.
+
     Raises:
         RuntimeError: SciPy is not installed.
     """
@@ -100,7 +87,7 @@ def exact(
     return _solve(programme, problem, [], time_limit)
 
 
-def m_best(problem: Problem, num_detections: int, m: int) -> list[Selection]:
+def m_best(problem: Problem, num_detections: int, m: int) -> list[Answer]:
     """Finds the m best selections, best first, each once; fewer if there are fewer.
 
     Each is a 0-1 programme of its own, in which those before it are cut off.
@@ -114,9 +101,9 @@ def m_best(problem: Problem, num_detections: int, m: int) -> list[Selection]:
         RuntimeError: SciPy is not installed.
     """
     programme = _programme(problem, num_detections)
-    found: list[Selection] = []
+    found: list[Answer] = []
     while len(found) < m:
-        before = [one.leaf for one in found]
+        before = [np.asarray(one.leaf) for one in found]
         one = _solve(programme, problem, before, None)
         if not one.feasible:
             break
@@ -197,11 +184,13 @@ def _solve(
     problem: Problem,
     before: list[np.ndarray],
     time_limit: float | None,
-) -> Selection:
+) -> Answer:
     """Solves the 0-1 programme without the selections in `before`."""
-    leaf = np.full(len(problem.log_score), -1)
+    num_trees, _, num_scans = problem.detection.shape
+    leaf = np.full(num_trees, -1)
+    price = np.zeros((num_scans, (len(made.low) - num_trees) // max(num_scans, 1)))
     if not made.score.size:
-        return Selection(leaf, 0.0, 0.0, True)
+        return _answer(price, leaf, 0.0, 0.0, True)
     optimize = _optimize()
     limits = [optimize.LinearConstraint(made.matrix, made.low, made.high)]
     for old in before:
@@ -219,9 +208,14 @@ def _solve(
     )
     if result.status not in (SOLVED, STOPPED) or result.x is None:
         bound = np.inf if result.status == STOPPED else -np.inf
-        return Selection(leaf, -np.inf, bound, False)
+        return _answer(price, leaf, -np.inf, bound, False)
     taken = result.x > 0.5
     leaf[made.tree[taken]] = made.leaf[taken]
     total = float(made.score[taken].sum())
     bound = total if result.status == SOLVED else -float(result.mip_dual_bound)
-    return Selection(leaf, total, bound, True)
+    return _answer(price, leaf, total, bound, True)
+
+
+def _answer(price: np.ndarray, *fields: Any) -> Answer:
+    arrays: list[Any] = [np.asarray(x) for x in (*fields, price)]
+    return Answer(*arrays)
