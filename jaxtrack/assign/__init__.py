@@ -5,7 +5,8 @@ miss. Scores are log-likelihood ratios against clutter, so a detection that no t
 takes counts 1; -inf is impossible, such as what lies outside the gate. A joint event
 gives every track one column and no detection to two tracks; its log-weight is the sum
 of the chosen scores. An empty track slot is a row of -inf with a miss of 0, an invalid
-detection a column of -inf. Each says whether its answer is feasible.
+detection a column of -inf. Each says whether its answer is feasible. For several scans
+at once there is `multiscan`, which takes trees of hypotheses.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack import assign

@@ -137,8 +137,9 @@ def _round(
         value = jnp.where(given.there, worth.max(1), 0.0).sum() + state.table.sum()
     else:
         wish, full, value = _assigned(given, worth, num_detections, kept, state.table)
-    worth = after_paying(given, full)
-    leaf = greedy.choose(given, worth, full.size)
+    excess, alone = _wanted(given, wish, full)
+    held = jnp.where(alone, wish, -1).astype(jnp.int32)
+    leaf = greedy.choose(given, after_paying(given, full), full.size, held)
     leaf = greedy.choose_again(given, leaf, full.size, 1)
     score = judge(given, leaf, full.size)[0]
     better, nearer = score > state.score, value < state.limit
@@ -147,9 +148,6 @@ def _round(
     tired = stale >= PATIENCE
     length = jnp.where(tired, SHORTER * state.length, state.length)
 
-    leaves = jnp.arange(given.log_score.shape[1])
-    share = (wish[:, None] == leaves[None]) & given.there[:, None]
-    excess = used(given, share.astype(worth.dtype), full) - 1
     real = (jnp.arange(full.size) % (num_detections + 1)) < num_detections
     if kept is not None:
         real &= jnp.arange(full.size) // (num_detections + 1) != kept
@@ -170,6 +168,15 @@ def _round(
         stale=jnp.where(tired, 0, stale),
         count=state.count + 1,
     )
+
+
+def _wanted(given: Slots, wish: Array, table: Array) -> tuple[Array, Array]:
+    """Returns by how much detections are wanted too often, and who wants his alone."""
+    leaves = jnp.arange(given.log_score.shape[1])
+    share = (wish[:, None] == leaves[None]) & (given.log_score > -jnp.inf)
+    demand = used(given, share.astype(table.dtype), table)
+    place = jnp.take_along_axis(given.place, wish[:, None, None], axis=1)[:, 0]
+    return demand - 1, share.any(1) & (demand[place] <= 1).all(1)
 
 
 def _assigned(
