@@ -209,3 +209,16 @@ def test_settings_are_checked():
         decomposition.decomposition(given, 1, max_rounds=0)
     with pytest.raises(ValueError, match="keep is 2; there are 2 scans"):
         lagrangian.lagrangian(given, 1, keep=2)
+
+
+@pytest.mark.parametrize(
+    ("leaf", "total"), [([0, 1], 7.0), ([0, 0], -INF), ([1, -1], -INF), ([1, 1], 4.0)]
+)
+def test_answer_says_whether_leaves_are_feasible(leaf, total):
+    log_score = jnp.array([[3.0, 0.0], [5.0, 4.0]])
+    detection = jnp.array([[[0], [-1]], [[0], [-1]]])
+    given = problem.Problem(log_score, detection)
+    found = problem.answer(given, jnp.array(leaf), jnp.array([[1.0]]))
+    assert float(found.log_score) == total
+    assert bool(found.feasible) == (total > -INF)
+    assert float(found.log_bound) == 7.0  # 2 and 4 after paying, and the price
