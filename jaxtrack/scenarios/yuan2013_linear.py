@@ -13,8 +13,8 @@ track becomes `max_components` a mode.
 
     >>> from jaxtrack.scenarios import yuan2013_linear
     >>> sorted(yuan2013_linear.make().trackers)
-    ['gm-ct-cbmember', 'gm-cv-cbmember', 'gm-mm-cbmember', 'gm-mm-cphd', 'gm-mm-phd', \
-'imm-mm-cbmember', 'imm-mm-cphd', 'imm-mm-phd']
+    ['gm-ct-cbmember', 'gm-cv-cbmember', 'gm-mm-cbmember', 'gm-mm-cbmember-claims', \
+'gm-mm-cphd', 'gm-mm-phd', 'imm-mm-cbmember', 'imm-mm-cphd', 'imm-mm-phd']
 
 Reference: Yuan, Lian and Han, "Multiple-model cardinality balanced multitarget multi-
 Bernoulli filter for tracking maneuvering targets", 2013, Table 3 for the OSPA.
@@ -110,7 +110,7 @@ def make(
 
 
 def _trackers(
-    tracker: Callable[[Target], Tracker],
+    tracker: Callable[..., Tracker],
     params: Callable[..., cbmember.Params],
     several: Target,
 ) -> dict[str, tuple[Tracker, Any]]:
@@ -120,6 +120,7 @@ def _trackers(
     banks = yuan2013.intense(bank, all_modes, **BANKS)
     return {
         "gm-mm-cbmember": (tracker(several), all_modes),
+        "gm-mm-cbmember-claims": (tracker(several, balance="claims"), all_modes),
         "imm-mm-cbmember": (tracker(bank), all_modes),
         **{f"gm-mm-{name}": rival for name, rival in mixtures.items()},
         **{f"imm-mm-{name}": rival for name, rival in banks.items()},
