@@ -91,6 +91,7 @@ def life(target, params, key):
     return log_density.sum(), told
 
 
+@functools.cache
 def lives(target, runs, seed=0):
     keys = jax.random.split(jax.random.key(seed), runs)
     every = functools.partial(life, target)
@@ -174,18 +175,11 @@ def test_blend_is_what_its_parts_are_on_average(target):
         parts = jax.vmap(target.correct, (None, None, 0))(params, view, detections)
         several = [jax.tree.map(lambda x, i=i: x[i], parts) for i in range(2)]
         each = [target.moments(x) for x in [*several, missed]]
-        modes = jnp.stack([target.modes(x) for x in [*several, missed]])
         share = jax.nn.softmax(log_weight)
+        modes = share @ jnp.stack([target.modes(x) for x in [*several, missed]])
         mean = share @ jnp.stack([x.mean for x in each])
-        return (
-            blended,
-            again,
-            (target.moments(blended).mean, mean),
-            (
-                target.modes(blended),
-                share @ modes,
-            ),
-        )
+        pairs = (target.moments(blended).mean, mean), (target.modes(blended), modes)
+        return blended, again, *pairs
 
     blended, again, *pairs = jax.jit(jax.vmap(one))(
         jax.random.split(jax.random.key(0), 500)
@@ -200,42 +194,53 @@ def test_blend_is_what_its_parts_are_on_average(target):
 
 def test_two_detections_make_two_clouds_and_no_key_twice():
     target, params = particles.particles(20, num_moves=1), two_modes()
-    belief = target.begin(params, PRIOR, jnp.array(MODE_PROB), jax.random.key(0))
-    belief, _ = target.predict(params, belief, jnp.asarray(INTERVAL))
-    missed, _ = target.miss(params, belief)
-    view = target.look(params, belief)
-    detections = jnp.array([[0.1], [0.1 + 1e-12]])
-    corrected = jax.vmap(target.correct, (None, None, 0))(params, view, detections)
-    blended = target.blend(params, view, missed, jnp.zeros(3), detections)
-    pooled = target.collapse(jnp.zeros(2), corrected)
-    folded = clouds.fold(corrected.key[0], clouds.COLLAPSED)
-    last = [clouds.fold(belief.key, jnp.array([0.1, x])) for x in (1.0, 2.0)]
-    keys = [belief.key, missed.key, *corrected.key, blended.key, pooled.key, folded]
-    assert len({tuple(np.array(key)) for key in [*keys, *last]}) == 9
-    later, _ = jax.vmap(target.predict, (None, 0, None))(
-        params, corrected, jnp.asarray(INTERVAL)
-    )
-    assert not np.isclose(later.state[0], later.state[1]).any()
+
+    @jax.jit
+    def drawn(key):
+        belief = target.begin(params, PRIOR, jnp.array(MODE_PROB), key)
+        belief, _ = target.predict(params, belief, jnp.asarray(INTERVAL))
+        missed, _ = target.miss(params, belief)
+        view = target.look(params, belief)
+        detections = jnp.array([[0.1], [0.1 + 1e-12]])
+        corrected = jax.vmap(target.correct, (None, None, 0))(params, view, detections)
+        blended = target.blend(params, view, missed, jnp.zeros(3), detections)
+        pooled = target.collapse(jnp.zeros(2), corrected)
+        folded = clouds.fold(corrected.key[0], clouds.COLLAPSED)
+        last = [clouds.fold(belief.key, jnp.array([0.1, x])) for x in (1.0, 2.0)]
+        keys = [belief.key, missed.key, *corrected.key, blended.key, pooled.key]
+        later, _ = jax.vmap(target.predict, (None, 0, None))(
+            params, corrected, jnp.asarray(INTERVAL)
+        )
+        return [*keys, folded, *last], later.state
+
+    keys, (one, other) = drawn(jax.random.key(0))
+    assert len({tuple(np.array(key)) for key in keys}) == 9
+    assert not np.isclose(one, other).any()
 
 
 def test_noise_that_waits_counts_in_the_moments():
     """Before anything is drawn they are the prior's, and after one motion exact."""
     target, params = WAYS["extended"], two_modes()
-    belief = target.begin(params, PRIOR, jnp.array([1.0, 0.0]), jax.random.key(0))
-    np.testing.assert_allclose(target.moments(belief).mean, PRIOR.mean)
-    np.testing.assert_allclose(target.moments(belief).cov, PRIOR.cov)
     stay = params._replace(switching=switching.MarkovSwitching(jnp.eye(2)))
-    moved, _ = target.predict(stay, belief, jnp.asarray(INTERVAL))
+
+    @jax.jit
+    def told(key):
+        belief = target.begin(params, PRIOR, jnp.array([1.0, 0.0]), key)
+        moved, _ = target.predict(stay, belief, jnp.asarray(INTERVAL))
+        return target.moments(belief), moved.state, target.moments(moved).cov
+
+    born, state, cov = told(jax.random.key(0))
+    np.testing.assert_allclose(born.mean, PRIOR.mean)
+    np.testing.assert_allclose(born.cov, PRIOR.cov)
     noise = np.array(params.motions[0].noise(INTERVAL))
-    drawn = np.cov(np.array(moved.state).T, bias=True)
-    np.testing.assert_allclose(target.moments(moved).cov, drawn + noise, rtol=1e-9)
+    np.testing.assert_allclose(cov, np.cov(state.T, bias=True) + noise, rtol=1e-9)
 
 
 def test_number_of_particles_goes_with_existence():
     target, params = particles.particles(40, min_particles=12), two_modes()
-    belief = target.begin(params, PRIOR, jnp.array(MODE_PROB), jax.random.key(0))
 
     def later(prob):
+        belief = target.begin(params, PRIOR, jnp.array(MODE_PROB), jax.random.key(0))
         adapted = target.adapt(params, belief, prob)
         return target.predict(params, adapted, jnp.asarray(INTERVAL))[0]
 

@@ -180,6 +180,7 @@ def warn_limits(table: "Table", settings: "Settings") -> None:
 
     Clutter is where detections are, and a target is expected as well as it is measured.
     """
+    import jax.numpy as jnp
     import numpy as np
 
     from jaxtrack.trackers import limits
@@ -189,7 +190,7 @@ def warn_limits(table: "Table", settings: "Settings") -> None:
     variance = (settings.sensor.noise_std or 0.0) ** 2
     sides = np.ptp(table.xy, axis=0) + 20 * variance**0.5
     false = limits.false_in_gate(
-        settings.sensor.clutter_rate / sides.prod(), 2 * variance * np.eye(2)
+        settings.sensor.clutter_rate / sides.prod(), 2 * variance * jnp.eye(2)
     )
     best = max(mode.detect_prob for mode in settings.modes.values())
     message = limits.warning("cbmember", best, false, "use --tracker jipda")
