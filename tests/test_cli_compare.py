@@ -5,6 +5,7 @@ import os
 import pathlib
 import subprocess
 import sys
+import types
 
 import matplotlib.image
 import pytest
@@ -273,3 +274,13 @@ def test_the_user_s_own_choices_for_jax_are_kept(tmp_path):
         "float32",
         f"{tmp_path}/mine",
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("cbmember", True), ("cbmember-claims", False), ("phd", False)]
+)
+def test_a_balance_by_claims_is_not_told_to_use_claims(capsys, name, told):
+    world = scenarios.make("yuan2013-linear", detect_prob=0.7).world
+    job = types.SimpleNamespace(name=f"gm-mm-{name}", values=(None, world))
+    compare.warn_limits(types.SimpleNamespace(jobs=[job]))
+    assert ("P_D" in capsys.readouterr().err) == told

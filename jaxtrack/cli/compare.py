@@ -245,7 +245,8 @@ def warn_limits(plan: "Plan") -> None:
         world: Any = job.values[1]
         sensor: Any = world.sensor
         plain = hasattr(sensor, "cov") and not hasattr(sensor, "at")
-        if not plain or "cbmember" not in job.name or job.name in said:
+        exact = "cbmember" not in job.name or job.name.endswith("-claims")
+        if not plain or exact or job.name in said:
             continue
         states = world.truth.state[world.truth.exists]
         where, how_fast = (
