@@ -145,6 +145,21 @@ def test_gradients_of_the_evidence_are_right():
         np.testing.assert_allclose(slope[name], expected, rtol=1e-6, err_msg=name)
 
 
+def test_a_track_that_is_doubtful_at_first_is_not_forgotten():
+    """One detection a scan, each too little to believe in a rare target by itself."""
+    problem = {**scenes.draw(4), "births": 0.002, "undetected": 0.0, "detect": 0.9}
+    problem |= {"clutter": 0.5, "sensor_var": 0.3, "survive": 0.99}
+    rng = np.random.default_rng(3)
+    places = [rng.normal(2.0, 0.3, 1) for _ in range(8)]
+    tracker = mht.mht(scenes.target, **{**ROOM, "num_scans": 1})
+    estimates = jax.jit(lambda p, z: track(p, z, tracker))(problem, places)
+    reported = np.asarray(estimates.exists.sum(1))
+    assert reported[0] == 0
+    np.testing.assert_array_equal(reported[-3:], 1)
+    first = estimates.label[-1][estimates.exists[-1]]
+    assert (first < 2).all()  # begun by the first or the second scan
+
+
 def test_known_targets_are_there_from_the_start():
     problem = scenes.draw(2)
     params = scenes.params_of(problem)

@@ -38,6 +38,7 @@ import jax.numpy as jnp
 from jaxtrack import gate, mixture
 from jaxtrack.trackers import (
     association,
+    deciding,
     forest,
     meeting,
     multiscan_choice,
@@ -46,11 +47,8 @@ from jaxtrack.trackers import (
     verdict,
 )
 from jaxtrack.trackers.forest import Forest
-from jaxtrack.trackers.multiscan_choice import Choice
 from jaxtrack.trackers.undetected import Params, Undetected
 from jaxtrack.types import Array, Scan, Target, Tracker
-
-SURELY = 2.0  # ranks before any probability
 
 
 class State(NamedTuple):
@@ -59,6 +57,7 @@ class State(NamedTuple):
     Attributes:
         trees: N trees with L leaves, of S = num_scans + 1 scans.
         best: The leaf that the best hypothesis has of each, -1 for none, [N].
+        sure: Which trees are in every hypothesis, by decision, [N] (bool).
         log_total: Log-weight of all hypotheses about these trees that were found.
         undetected: U components.
         next_label: The first free label.
@@ -67,6 +66,7 @@ class State(NamedTuple):
 
     trees: Forest
     best: Array
+    sure: Array
     log_total: Array
     undetected: Undetected
     next_label: Array
@@ -158,8 +158,9 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     shape = settings.thinning.max_tracks, settings.max_leaves, settings.num_scans + 1
     trees = forest.begin(target, params, shape, keys[1])
     zero = jnp.zeros((), trees.log_score.dtype)
-    best = jnp.where(trees.label >= 0, 0, -1)
-    return State(trees, best, zero, hidden, (trees.label >= 0).sum(), keys[2])
+    known = trees.label >= 0
+    best = jnp.where(known, 0, -1).astype(jnp.int32)
+    return State(trees, best, known, zero, hidden, known.sum(), keys[2])
 
 
 def _step(
@@ -171,9 +172,10 @@ def _step(
     met = meeting.meet(
         settings.gating, target, params, state.trees, state.undetected, scan, seed
     )
-    trees, lost_leaves = _grow(settings, params, met, state.best, scan)
+    trees, lost_leaves = _grow(settings, params, met, state, scan)
     trees, label = forest.plant(trees, met.firsts, state.next_label)
-    found = settings.choose(trees, _sure(settings, trees), len(scan.valid))
+    sure = jnp.pad(state.sure, (0, len(scan.valid)))
+    found = settings.choose(trees, sure, len(scan.valid))
     hidden, unseen = undetected.reduce(met.firsts.missed, settings.max_undetected)
     estimate = verdict.report(
         target,
@@ -186,24 +188,23 @@ def _step(
         dropped=unseen,
         log_loss=found.log_loss,
     )
-    trees, best, kept, log_after = _decide(settings, trees, found)
+    pruned = deciding.decide(
+        settings.thinning, settings.num_scans, trees, sure, found, len(scan.valid)
+    )
+    kept = pruned.kept
     lost = (estimate.existence_prob[: lost_leaves.size] * lost_leaves).sum()
     gone = estimate.existence_prob.sum() - estimate.existence_prob[kept].sum()
     estimate = estimate._replace(dropped=unseen + lost + jnp.maximum(gone, 0.0))
     estimate = _some(estimate, kept)
-    return State(trees, best, log_after, hidden, label, key), estimate
-
-
-def _sure(settings: Settings, trees: Forest) -> Array:
-    """Returns which trees a decision has made true: those begun before the window."""
-    return trees.age > settings.num_scans + 1
+    following = State(*pruned[:4], hidden, label, key)
+    return following, estimate
 
 
 def _grow(
     settings: Settings,
     params: Params,
     met: meeting.Meeting,
-    best_leaf: Array,
+    state: State,
     scan: Scan,
 ) -> tuple[Forest, Array]:
     """Follows leaves by detections; returns the share of each tree that was lost, too.
@@ -215,11 +216,11 @@ def _grow(
     score = trees.log_score[:, :, None] + met.sight.log_score  # [N, L, K + 1]
     columns = score.shape[2]
     every = score.reshape(len(score), -1)
-    last = best_leaf * columns + columns - 1
+    last = state.best * columns + columns - 1
     safe = jnp.arange(every.shape[1])[None] == last[:, None]
     rank = jnp.where(safe & (every > -jnp.inf), jnp.inf, every)
     best, at = jax.lax.top_k(rank, min(size, every.shape[1]))
-    nothing = jnp.where(_sure(settings, trees), -jnp.inf, 0.0)
+    nothing = jnp.where(state.sure, -jnp.inf, 0.0)
     floor = jnp.maximum(every.max(1), nothing) + jnp.log(
         settings.thinning.prune_threshold
     )
@@ -242,48 +243,6 @@ def _grow(
     known = all_of_it > -jnp.inf
     share = jnp.where(known, held, 0.0) - jnp.where(known, all_of_it, 0.0)
     return grown, jnp.where(known, -jnp.expm1(jnp.minimum(share, 0.0)), 0.0)
-
-
-def _decide(
-    settings: Settings, trees: Forest, found: Choice
-) -> tuple[Forest, Array, Array, Array]:
-    """Keeps what agrees with the best hypothesis about the window's first scan.
-
-    Returns:
-        The trees that are kept; the best leaf of each; where they stood; and the
-        log-weight of the hypotheses about them.
-    """
-    limits, best, views = settings.thinning, found.best, found.views
-    tree = jnp.arange(best.size)
-    decided = jnp.where(best >= 0, trees.past[tree, jnp.maximum(best, 0), 0], -1)
-    agrees = (trees.past[:, :, 0] == decided[:, None]) & (trees.log_score > -jnp.inf)
-    sure = trees.age > settings.num_scans
-    there = verdict.exists(trees, views.leaf)
-    prob = (jnp.exp(views.log_prob) * there).sum(0)
-    score = jnp.where(agrees, trees.log_score, -jnp.inf)
-    chance = jax.nn.sigmoid(score.max(1))
-    rank = jnp.where(sure, SURELY, jnp.maximum(prob, chance))
-    dead = sure & (prob <= limits.exist_threshold)
-    rank = jnp.where(agrees.any(1) & ~dead, rank, -1.0)
-    likely, kept = jax.lax.top_k(rank, limits.max_tracks)
-    held = likely >= 0
-    # All hypotheses have a leaf of a sure tree: its best one counts as 0.
-    shift = jnp.where(sure, jnp.maximum(score.max(1), -1e30), 0.0)
-    score = score - shift[:, None]
-    some = jax.tree.map(lambda x: x[kept], trees)
-    some = some._replace(
-        log_score=jnp.where(held[:, None], score[kept], -jnp.inf),
-        existence_prob=jnp.where(
-            held[:, None] & agrees[kept], some.existence_prob, 0.0
-        ),
-        label=jnp.where(held, some.label, -1),
-        age=jnp.where(held, some.age, 0),
-    )
-    stay = jnp.zeros(best.size, bool).at[kept].set(held)
-    log_total = multiscan_choice.remaining(
-        found, trees._replace(log_score=score), stay, sure
-    )
-    return some, jnp.where(held, best[kept], -1), kept, log_total
 
 
 def _some(estimate: verdict.Estimate, kept: Array) -> verdict.Estimate:

@@ -63,7 +63,8 @@ Chooser = Callable[[Forest, Array, int], Choice]
 def chooser(solver: str, max_hypotheses: int) -> Chooser:
     """Returns a function (trees, sure [N], num_detections) -> `Choice`.
 
-    `sure` trees must be in every hypothesis; the others may be nothing.
+    `sure` trees must be in every hypothesis, and their first leaves exclude nobody's;
+    the others may be nothing.
 
     Args:
         solver: "lagrangian", "decomposition", "greedy" or "exact".
@@ -93,9 +94,11 @@ def _choose(
     past = jnp.pad(trees.past, ((0, 0), (0, 1), (0, 0)), constant_values=-1)
     problem = Problem(score, past)
     found = solve(problem, num)
-    leaf, there = found.leaf[None], jnp.full((1, len(none)), found.feasible)
-    label = multiscan.problem.label(problem, num)
-    log_joint = jnp.where(found.feasible, found.log_score, -jnp.inf)[None]
+    # A solver that finds nothing leaves what is possible at any rate.
+    safe = jnp.where(sure, 0, jnp.where(trees.label < 0, -1, score.shape[1] - 1))
+    leaf = jnp.where(found.feasible, found.leaf, safe.astype(jnp.int32))[None]
+    there = jnp.ones((1, len(none)), bool)
+    label, beam = multiscan.problem.label(problem, num), None
     if max_hypotheses > 1:
         # Those that find no prices leave it to the beam to find some.
         price = None if solve in (_exact, multiscan.greedy.greedy) else found.price
@@ -103,12 +106,12 @@ def _choose(
         others = ~_everywhere((beam.leaf == leaf) | (trees.label < 0)[None], label)
         leaf = jnp.concatenate([leaf, beam.leaf])
         there = jnp.concatenate([there, (beam.log_score > -jnp.inf) & others])
-        log_joint = multiscan.beam.together(beam).log_score
     leaf = jnp.where(leaf < trees.log_score.shape[1], leaf, -1)
     log_weight = jnp.where(there, _weigh(trees, leaf, label), -jnp.inf)
     best = leaf[jnp.argmax(log_weight, axis=0), jnp.arange(len(none))]
     top = jnp.where(label == jnp.arange(len(none)), log_weight.max(0), 0.0).sum()
     log_loss = jnp.maximum(found.log_bound - jax.lax.stop_gradient(top), 0.0)
+    log_joint = top[None] if beam is None else multiscan.beam.together(beam).log_score
     return Choice(leaf, log_weight, label, best, log_joint, log_loss)
 
 
