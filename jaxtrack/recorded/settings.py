@@ -15,7 +15,7 @@ from jaxtrack.data.errors import DataError
 
 ALGORITHMS = (
     *("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda"),
-    *("jpda-star", "set-jpda"),  # for scenes of a few targets: both list joint events
+    *("mht", "jpda-star", "set-jpda"),  # the last two only for a few targets
 )
 
 Number = TypeVar("Number", int, float)
@@ -110,6 +110,8 @@ class Algorithm(NamedTuple):
             detections, see `trackers.management.MofN`.
         confirm_prob, drop_prob: Of those that weigh existence, see
             `trackers.management.Existence`.
+        num_scans, max_leaves, leaf_threshold: Of `trackers.mht`, which see; the last is
+            its `prune_threshold`.
     """
 
     name: str = "cbmember"
@@ -128,6 +130,9 @@ class Algorithm(NamedTuple):
     drop_scans: int = 5
     confirm_prob: float = 0.9
     drop_prob: float = 1e-3
+    num_scans: int = 2
+    max_leaves: int = 6
+    leaf_threshold: float = 1e-5
 
 
 class Score(NamedTuple):

@@ -45,11 +45,13 @@ from jaxtrack.trackers import (
     jpda,
     jpda_star,
     management,
+    mht,
     nearest,
     options,
     pda,
     set_jpda,
     single_scan,
+    undetected,
 )
 from jaxtrack.types import Target, Tracker
 
@@ -62,6 +64,7 @@ CERTAIN: dict[str, Callable[..., Tracker]] = {
     "set-jpda": set_jpda.set_jpda,
 }
 INTEGRATED: dict[str, Callable[..., Tracker]] = {"ipda": pda.ipda, "jipda": jpda.jipda}
+FAMILIES: dict[str, Any] = {"cbmember": cbmember, "mht": undetected}
 
 
 class Result(NamedTuple):
@@ -149,7 +152,7 @@ def make(table: Table, settings: Settings) -> tuple[Tracker, Any]:
         sensor = models.sensor.Timed(sensor)
     targets = settings.targets
     share = jnp.array([mode.birth_share for mode in modes], float)
-    family = cbmember if settings.tracker.name == "cbmember" else single_scan
+    family = FAMILIES.get(settings.tracker.name, single_scan)
     params = family.Params(
         target=imm.Params(
             motions=tuple(_motion(mode) for mode in modes),
@@ -184,6 +187,17 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
         own = inspect.signature(cbmember.cbmember).parameters
         return cbmember.cbmember(
             target, **{name: given[name] for name in own if name in given}
+        )
+    if chosen.name == "mht":
+        return mht.mht(
+            target,
+            num_scans=chosen.num_scans,
+            max_hypotheses=8,
+            max_tracks=known(chosen.max_tracks),
+            max_leaves=chosen.max_leaves,
+            gate_prob=chosen.gate_prob,
+            prune_threshold=chosen.leaf_threshold,
+            report_threshold=chosen.report_threshold,
         )
     choices = options.Options(
         max_tracks=known(chosen.max_tracks),

@@ -74,7 +74,7 @@ def decide(
     prob = (jnp.exp(views.log_prob) * there).sum(0)
     score = jnp.where(agrees, trees.log_score, -jnp.inf)
     top = score.max(1)
-    sure = sure | ((best >= 0) & (trees.age > num_scans))
+    sure = (best >= 0) & (sure | (trees.age > num_scans))
     rank = jnp.where(sure, SURELY, jnp.maximum(prob, jax.nn.sigmoid(top)))
     dead = sure & (prob <= limits.exist_threshold)
     rank = jnp.where(agrees.any(1) & ~dead, rank, -1.0)

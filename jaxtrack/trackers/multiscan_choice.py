@@ -57,14 +57,18 @@ class Choice(NamedTuple):
         return verdict.Views(self.leaf, norm(self.log_weight), self.label)
 
 
+# A sure tree, whose target is known to be there, is nothing at this price in nats only:
+# where few leaves are kept there may be no hypothesis in which all of them have one.
+LOSS = 50.0
+
 Chooser = Callable[[Forest, Array, int], Choice]
 
 
 def chooser(solver: str, max_hypotheses: int) -> Chooser:
     """Returns a function (trees, sure [N], num_detections) -> `Choice`.
 
-    `sure` trees must be in every hypothesis, and their first leaves exclude nobody's;
-    the others may be nothing.
+    `sure` trees are in every hypothesis, unless their leaves leave no room for it; the
+    others may be nothing.
 
     Args:
         solver: "lagrangian", "decomposition", "greedy" or "exact".
@@ -88,38 +92,67 @@ def _choose(
     solve: Callable, max_hypotheses: int, trees: Forest, sure: Array, num: int
 ) -> Choice:
     """Finds the best hypothesis, and others."""
-    none = jnp.where(sure | (trees.label < 0), -jnp.inf, 0.0)
     fixed = jax.lax.stop_gradient(trees.log_score)
+    lost = jnp.where(sure, fixed.max(1) - LOSS, 0.0)
+    none = jnp.where(trees.label < 0, -jnp.inf, lost)
     score = jnp.concatenate([fixed, none[:, None].astype(fixed.dtype)], axis=1)
     past = jnp.pad(trees.past, ((0, 0), (0, 1), (0, 0)), constant_values=-1)
     problem = Problem(score, past)
     found = solve(problem, num)
-    # A solver that finds nothing leaves what is possible at any rate.
+    label = multiscan.problem.label(problem, num)
+    # Where a solver finds nothing there is what is possible at any rate.
     safe = jnp.where(sure, 0, jnp.where(trees.label < 0, -1, score.shape[1] - 1))
-    leaf = jnp.where(found.feasible, found.leaf, safe.astype(jnp.int32))[None]
-    there = jnp.ones((1, len(none)), bool)
-    label, beam = multiscan.problem.label(problem, num), None
+    leaf = jnp.stack([found.leaf, safe.astype(jnp.int32)])
+    possible = _possible(problem, found.leaf, num, label)
+    there = jnp.stack([possible, jnp.ones_like(possible)])
+    beam = None
     if max_hypotheses > 1:
         # Those that find no prices leave it to the beam to find some.
         price = None if solve in (_exact, multiscan.greedy.greedy) else found.price
-        beam = multiscan.beam.beam(problem, num, max_hypotheses - 1, price)
-        others = ~_everywhere((beam.leaf == leaf) | (trees.label < 0)[None], label)
+        beam = multiscan.beam.beam(problem, num, max_hypotheses, price)
         leaf = jnp.concatenate([leaf, beam.leaf])
-        there = jnp.concatenate([there, (beam.log_score > -jnp.inf) & others])
+        there = jnp.concatenate([there, beam.log_score > -jnp.inf])
+    there = there & ~_repeated(leaf, there, trees.label < 0, label)
     leaf = jnp.where(leaf < trees.log_score.shape[1], leaf, -1)
-    log_weight = jnp.where(there, _weigh(trees, leaf, label), -jnp.inf)
+    log_weight = jnp.where(there, _weigh(trees, leaf, lost, label), -jnp.inf)
     best = leaf[jnp.argmax(log_weight, axis=0), jnp.arange(len(none))]
-    top = jnp.where(label == jnp.arange(len(none)), log_weight.max(0), 0.0).sum()
-    log_loss = jnp.maximum(found.log_bound - jax.lax.stop_gradient(top), 0.0)
-    log_joint = top[None] if beam is None else multiscan.beam.together(beam).log_score
+    top = log_weight.max(0)
+    total = jnp.where(label == jnp.arange(len(none)), top, 0.0).sum()
+    log_loss = jnp.maximum(found.log_bound - jax.lax.stop_gradient(total), 0.0)
+    if beam is None:
+        return Choice(best[None], top[None], label, best, total[None], log_loss)
+    log_joint = multiscan.beam.together(beam).log_score
     return Choice(leaf, log_weight, label, best, log_joint, log_loss)
+
+
+def _possible(problem: Problem, leaf: Array, num: int, label: Array) -> Array:
+    """Tells in which clusters every tree has a leaf and no detection two trees, [N]."""
+    tree = jnp.arange(leaf.size)
+    used = problem.detection[tree, jnp.maximum(leaf, 0)]  # [N, S]
+    used = jnp.where((leaf >= 0)[:, None] & (used >= 0), used, num)
+    scan = jnp.broadcast_to(jnp.arange(used.shape[1])[None], used.shape)
+    times = jnp.zeros((used.shape[1], num + 1), int).at[scan, used].add(1)
+    clash = ((times[scan, used] > 1) & (used < num)).any(1)
+    empty = (problem.log_score == -jnp.inf).all(1)
+    fits = ~clash & ((leaf >= 0) | empty)
+    return _everywhere(fits[None], label)[0]
+
+
+def _repeated(leaf: Array, there: Array, empty: Array, label: Array) -> Array:
+    """Tells which rows, in a cluster, are the same as the first or second, [H, N]."""
+    row = jnp.arange(len(leaf))[:, None]
+    again = jnp.zeros(leaf.shape, bool)
+    for k in range(2):
+        same = _everywhere((leaf == leaf[k][None]) | empty[None], label)
+        again = again | (same & there[k][None] & (row > k))
+    return again
 
 
 def remaining(choice: Choice, trees: Forest, kept: Array, stays: Array) -> Array:
     """Returns the log-weight of the hypotheses about what was kept of the trees.
 
-    A tree that goes is one that is nothing, or a sure one with its best leaf; what else
-    was thought of it goes with it.
+    A tree that goes does so with what the best hypothesis says of it; what else was
+    thought of it goes, too.
 
     Args:
         choice: What was found.
@@ -127,23 +160,23 @@ def remaining(choice: Choice, trees: Forest, kept: Array, stays: Array) -> Array
         kept: Which trees are, [N] (bool).
         stays: Which trees are in all hypotheses, [N] (bool).
     """
-    default = jnp.where(stays, choice.best, -1)
     tree = jnp.arange(len(kept))[None]
     score = trees.log_score[tree, jnp.maximum(choice.leaf, 0)]
     held = (choice.leaf < 0) | (score > -jnp.inf)
-    fits = jnp.where(kept[None], held, choice.leaf == default[None])
+    fits = jnp.where(kept[None], held, choice.leaf == choice.best[None])
     leaf = jnp.where(kept[None], choice.leaf, -1)
+    fits = fits & ~((choice.leaf < 0) & (kept & stays)[None])
     there = _everywhere(fits, choice.label) & (choice.log_weight > -jnp.inf)
-    weight = _weigh(trees, leaf, choice.label)
+    weight = _weigh(trees, leaf, jnp.zeros(len(kept)), choice.label)
     return _total(jnp.where(there, weight, -jnp.inf), choice.label)
 
 
-def _weigh(trees: Forest, leaf: Array, label: Array) -> Array:
+def _weigh(trees: Forest, leaf: Array, none: Array, label: Array) -> Array:
     """Returns the sums of scores over each tree's cluster, [H, N]."""
     tree = jnp.arange(leaf.shape[1])[None]
     own = trees.log_score[tree, jnp.maximum(leaf, 0)]
     known = (leaf >= 0) & (own > -jnp.inf)
-    own = jnp.where(known, jnp.where(known, own, 0.0), 0.0)
+    own = jnp.where(known, jnp.where(known, own, 0.0), none[None])
     return own @ (label[:, None] == label[None]).astype(own.dtype)
 
 
