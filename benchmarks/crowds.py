@@ -25,6 +25,7 @@ TRACKERS = (
     *("nn", "gnn", "pda", "ipda", "jpda", "jpda-bp", "jipda", "cbmember"),
     *("jpda-star", "set-jpda"),
 )
+ONLY = [name for name in sys.argv[1:] if name in TRACKERS]
 SLOW, SLOW_TARGETS = ("jpda-star", "set-jpda"), 20
 TARGETS, FEW_FALSE = (2, 20, 200), 10
 FALSE, FEW_TARGETS = (5, 80), 10
@@ -76,8 +77,7 @@ def rows(size: Size) -> list[Row]:
     quick = size == common.QUICK
     size, made = size._replace(rounds=min(size.rounds, 3)), []
     with common.precision(KIND):
-        chosen = [name for name in TRACKERS if name in sys.argv[1:]] or TRACKERS
-        for name in TRACKERS[:1] if quick else chosen:
+        for name in TRACKERS[:1] if quick else ONLY or TRACKERS:
             for targets, false in sweep(name)[:1] if quick else sweep(name):
                 made += row(name, targets, false, size)
                 print(
@@ -120,4 +120,5 @@ def keep(made: list[Row]) -> None:
 
 
 if __name__ == "__main__":
+    sys.argv = [word for word in sys.argv if word not in ONLY]
     common.main(rows)

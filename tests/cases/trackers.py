@@ -280,12 +280,12 @@ def hypothesis_case(name):
     return hypothesis_trackers.CASES[name]()
 
 
-HYPOTHESES = ("hypothesis_mht", "mht_imm", "mht_detection_birth")
+HYPOTHESES = ("hypothesis_mht", "mht_imm", "mht_detection_birth", "rmm_mht")
 CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles"}
-# The first compiles for a minute; the second is the tracker of `cbmember_imm`.
-SECOND_VARIANTS = {"cbmember_unscented", "cbmember_far_field"}
+# The first compiles for a minute; the others are trackers that another case has, too.
+SECOND_VARIANTS = {"cbmember_unscented", "cbmember_far_field", "mht_imm"}
 
 
 @functools.cache
