@@ -8,7 +8,7 @@ from cases.trackers import array
 
 from jaxtrack.models import birth
 from jaxtrack.targets import imm, single
-from jaxtrack.trackers import hypothesis_mht, mht, undetected
+from jaxtrack.trackers import hypothesis_mht, mht, rmm_mht, undetected
 
 
 def line_params(target, num_modes):
@@ -47,6 +47,23 @@ def driven_case():
     )
 
 
+def rmm_case():
+    """Nobody mixes modes, and a window of two scans."""
+    plain = line_case(mht.mht, imm.imm(), trackers.two_mode_params(), 2)
+    room = {
+        "max_leaves": 6,
+        "max_detections": 8,
+        "max_contested": 4,
+        "max_new": 4,
+        "worth": 0.05,
+    }
+    return plain._replace(
+        make=rmm_mht.rmm_mht,
+        capacities={"max_tracks": 3, "max_undetected": 4, **room},
+        large={"max_tracks": 8, "max_undetected": 12, **room},
+    )
+
+
 CASES = {
     "hypothesis_mht": lambda: line_case(
         hypothesis_mht.hypothesis_mht,
@@ -60,4 +77,5 @@ CASES = {
         mht.mht, imm.imm(), trackers.two_mode_params(), 2, max_hypotheses=8
     ),
     "mht_detection_birth": driven_case,
+    "rmm_mht": rmm_case,
 }
