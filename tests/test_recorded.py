@@ -258,7 +258,23 @@ def test_the_harbour_is_tracked():
     assert scores.identity.idf1 > 0.45
 
 
-@pytest.mark.parametrize("name", settings.ALGORITHMS[1:])
+def test_settings_reach_the_tracker_of_hypotheses():
+    chosen = settings.Algorithm(
+        name="mht",
+        max_tracks=7,
+        gate_prob=0.9,
+        report_threshold=0.4,
+        num_scans=3,
+        max_leaves=5,
+        leaf_threshold=1e-4,
+    )
+    made = tracking.algorithm(chosen, imm.imm()).step.args[0]
+    assert (made.num_scans, made.max_leaves, made.report_threshold) == (3, 5, 0.4)
+    assert (made.thinning.max_tracks, made.thinning.prune_threshold) == (7, 1e-4)
+    assert made.gating.prob == 0.9
+
+
+@pytest.mark.parametrize("name", sorted({*settings.ALGORITHMS} - {"cbmember", "mht"}))
 def test_settings_reach_the_tracker_that_they_name(name):
     chosen = settings.Algorithm(
         name=name,

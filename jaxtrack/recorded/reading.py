@@ -38,14 +38,17 @@ _BOUNDS = {
         _PROB,
     ),
     **dict.fromkeys(
-        ("prune_threshold", "report_threshold", "split_threshold"), _BELOW_ONE
+        ("prune_threshold", "report_threshold", "split_threshold", "leaf_threshold"),
+        _BELOW_ONE,
     ),
     **dict.fromkeys(
-        ("max_tracks", "max_births", "max_parents", "max_detections"), _COUNT
+        ("max_tracks", "max_births", "max_parents", "max_detections", "max_leaves"),
+        _COUNT,
     ),
     **dict.fromkeys(
         ("confirm_hits", "confirm_scans", "drop_misses", "drop_scans"), _WINDOW
     ),
+    "num_scans": _Bound("0 or more", lambda x: x >= 0),
     "gate_prob": _Bound("a probability above 0", lambda x: 0 < x <= 1),
     "name": _Bound(f"one of {', '.join(ALGORITHMS)}", lambda x: x in ALGORITHMS),
 }
