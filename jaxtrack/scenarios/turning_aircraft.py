@@ -9,9 +9,10 @@ of 0.01 and 4 m^2/s^3 (units of the supplement), with dt^3/3 where the paper's e
 Not printed, and chosen: start (25, 10) km at 120 m/s and legs of 125, 90, 125, 30 and
 125 s, after the example of Bar-Shalom, Li and Kirubarajan 2001, section 11.7, which the
 paper names as its source; neighbours 1000 m north and south of the first; the region,
-50 by 40 km; p_D = 0.95, p_S = 0.99. The paper gives its trackers the first states; here
-births are driven by unexplained detections, so that an aircraft lost in a turn, for
-which neither mode is made, is found again.
+50 by 40 km; p_D = 0.95, p_S = 0.99. Births are driven by unexplained detections, so
+that an aircraft lost in a turn, for which neither mode is made, is found again. The
+paper's own trackers, and the first states that it gives them, are in
+`turning_aircraft_trackers`.
 
     >>> from jaxtrack.scenarios import turning_aircraft
     >>> turning_aircraft.make().world.truth.state.shape
@@ -33,6 +34,7 @@ from jaxtrack.models.motion import ConstantVelocity
 from jaxtrack.models.probability import Constant
 from jaxtrack.models.sensor import Position
 from jaxtrack.models.switching import MarkovSwitching
+from jaxtrack.scenarios import turning_aircraft_trackers
 from jaxtrack.scenarios.world import (
     Scenario,
     Truth,
@@ -101,18 +103,23 @@ def make(
     tracker = functools.partial(
         cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
     )
+    slots = slots_for(len(STARTS), clutter_rate)
+    flights = truth(interval)
     gaussians = tracker(mixture.mixture(max_components))
     both, smooth = params(*NOISE_DENSITIES), params(NOISE_DENSITIES[0])
     return Scenario(
         name="turning-aircraft",
         summary="three aircraft side by side in two turns (Liu 2021, figure 1)",
-        world=World(truth(interval), both.target.layout, sensor, detect, clutter),
+        world=World(flights, both.target.layout, sensor, detect, clutter),
         trackers={
             "gm-mm-cbmember": (gaussians, both),
             "imm-mm-cbmember": (tracker(imm.imm()), both),
             "gm-cv-cbmember": (gaussians, smooth),
+            **turning_aircraft_trackers.make(
+                both.target, births(2), clutter, flights, interval, slots
+            ),
         },
-        max_detections=slots_for(len(STARTS), clutter_rate),
+        max_detections=slots,
         cutoff=3000.0,
         order=1.0,
         published={},

@@ -152,11 +152,7 @@ def _extend(
     before = jnp.repeat(growth.log_score, num_modes, axis=1)
     score = before[:, :, None] + now
     columns = score.shape[2]
-    # The leaf without any detection stays first, so that every target has a leaf.
-    best = score.max(1).reshape(-1)
-    rank = jnp.where(jnp.arange(best.size) == columns - 1, jnp.inf, best)
-    rank, at = jax.lax.top_k(rank, min(rules.max_leaves, best.size))
-    parent, column = jnp.divmod(at, columns)
+    parent, column, rank = _best(score.max(1), rules.max_leaves)
     there = rank[:, None] > -jnp.inf
     score = jnp.where(there, score[parent, :, column], -jnp.inf)
     share = now[parent, :, column] if growth.past.shape[1] == 0 else None
@@ -174,6 +170,25 @@ def _extend(
         jnp.where(there, first if share is None else share, 0.0),
         jnp.concatenate([growth.past[parent], seen[:, None]], 1),
     )
+
+
+def _best(score: Array, size: int) -> tuple[Array, Array, Array]:
+    """Returns the best pairs of a leaf and a detection, and how they rank.
+
+    The leaf without any detection stays first, so that every target has one.
+
+    Args:
+        score: Of all pairs, the last column that of no detection, [L, K + 1].
+        size: How many at most.
+    """
+    last = score.shape[1] - 1
+    rank = score.at[0, last].set(jnp.inf)
+    # The best pairs are in the columns with the best entries.
+    some = jax.lax.top_k(rank.max(0), min(size, last + 1))[1]
+    few = rank[:, some]
+    rank, at = jax.lax.top_k(few.reshape(-1), min(size, few.size))
+    parent, place = jnp.divmod(at, len(some))
+    return parent, some[place], rank
 
 
 def _move(

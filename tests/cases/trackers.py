@@ -285,7 +285,12 @@ CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles"}
 # The first compiles for a minute; the others are trackers that another case has, too.
-SECOND_VARIANTS = {"cbmember_unscented", "cbmember_far_field", "mht_imm"}
+SECOND_VARIANTS = {
+    "cbmember_unscented",
+    "cbmember_far_field",
+    "mht_imm",
+    "rmm_mht",
+}
 
 
 @functools.cache
