@@ -103,10 +103,11 @@ def make(
     tracker = functools.partial(
         cbmember.cbmember, max_tracks=max_tracks, merge_threshold=merge_threshold
     )
-    slots = slots_for(len(STARTS), clutter_rate)
-    flights = truth(interval)
+    slots, flights = slots_for(len(STARTS), clutter_rate), truth(interval)
     gaussians = tracker(mixture.mixture(max_components))
     both, smooth = params(*NOISE_DENSITIES), params(NOISE_DENSITIES[0])
+    given = both.target, births(2), clutter, flights
+    papers = turning_aircraft_trackers.make(*given, interval, slots)
     return Scenario(
         name="turning-aircraft",
         summary="three aircraft side by side in two turns (Liu 2021, figure 1)",
@@ -115,9 +116,7 @@ def make(
             "gm-mm-cbmember": (gaussians, both),
             "imm-mm-cbmember": (tracker(imm.imm()), both),
             "gm-cv-cbmember": (gaussians, smooth),
-            **turning_aircraft_trackers.make(
-                both.target, births(2), clutter, flights, interval, slots
-            ),
+            **papers,
         },
         max_detections=slots,
         cutoff=3000.0,
