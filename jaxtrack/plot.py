@@ -246,6 +246,7 @@ def _draw_scores(
     axes: "Axes", dataset: "xarray.Dataset", variable: str, band: str
 ) -> None:
     """Draws one panel."""
+    dataset = dataset.dropna("time", how="all", subset=[variable])
     time = dataset["time"].values
     if variable in ("num_reported", "num_expected"):
         true = dataset["num_true"].values[0].mean(0)

@@ -3,13 +3,14 @@
 import json
 import math
 
+import jax
 import numpy as np
 import pytest
 import xarray
 from reference import small
 
-from jaxtrack import engine
-from jaxtrack.study import devices, parts, sweep, table
+from jaxtrack import engine, plot
+from jaxtrack.study import devices, numbers, parts, sweep, table
 from jaxtrack.study.scores import Scores
 
 SWEEP = {"clutter_rate": [1, 3]}
@@ -248,6 +249,32 @@ def test_summary_averages_over_time_and_then_over_runs(expected):
     assert row["runs_per_second"] == pytest.approx(7 / row["seconds"])
     assert row["dropped"] == 0
     json.dumps(summary, allow_nan=False)
+
+
+def make_with_every(every: int = 1):
+    """The small scenario with a scan left out, or with all of them."""
+    made = small.make()
+    flights = jax.tree.map(lambda x: x[::every], made.world.truth)
+    return made._replace(world=made.world._replace(truth=flights))
+
+
+def test_settings_may_have_scans_at_other_times():
+    both = engine.monte_carlo(make_with_every, ["far"], 4, 3, {"every": [1, 2]})
+    times = small.truth().time
+    np.testing.assert_array_equal(both.time, times)
+    rows = table.summary(both)["rows"]
+    for setting, every in enumerate((1, 2)):
+        own = engine.monte_carlo(make_with_every, ["far"], 4, 3, {"every": [every]})
+        np.testing.assert_array_equal(
+            both.ospa[setting, :, :, ::every], own.ospa[0], strict=True
+        )
+        alone = table.summary(own)["rows"][0]
+        for name in ("ospa", "gospa", "cardinality_bias", "dropped"):
+            assert rows[setting][name] == alone[name]
+    assert both.ospa[1, :, :, 1::2].isnull().all()
+    axes = plot.over_time(both, "num_reported").axes[1]
+    assert len(axes.lines[-1].get_xdata()) == len(times[::2])
+    assert numbers.numbers_chart(both, setting=1).axes[0].lines[-1].get_ydata().size < 5
 
 
 def test_summary_of_one_run_or_of_no_number_can_be_written(expected):

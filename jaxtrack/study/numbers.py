@@ -37,6 +37,7 @@ def numbers_chart(dataset: "xarray.Dataset", setting: int = 0) -> Figure:
         setting: Which of the settings.
     """
     one = dataset.isel(setting=setting)
+    one = one.dropna("time", how="all", subset=["num_true"])
     names, time = one["tracker"].values, one["time"].values
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)

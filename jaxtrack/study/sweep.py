@@ -63,7 +63,6 @@ class Plan(NamedTuple):
         runs: R.
         chunks: Ranges of runs, see `chunks`.
         max_detections: Slots of a scan that serve every point.
-        time: Of the scans, seconds, [T].
         attributes: What tells this study from others.
     """
 
@@ -72,7 +71,6 @@ class Plan(NamedTuple):
     runs: int
     chunks: list[range]
     max_detections: int
-    time: Any
     attributes: dict[str, Any]
 
 
@@ -114,8 +112,7 @@ def plan(
         "chunk": len(ranges[0]),
         "max_detections": max_detections,
     }
-    time = made[0].world.truth.time
-    return Plan(jobs, list(trackers), runs, ranges, max_detections, time, attributes)
+    return Plan(jobs, list(trackers), runs, ranges, max_detections, attributes)
 
 
 def points(settings: Mapping[str, Sequence[float]] | None) -> list[dict[str, float]]:

@@ -13,7 +13,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,32 +54,38 @@ def dataset(plan: sweep.Plan, done: Sequence[Sequence[Part]]) -> "xarray.Dataset
 
     Returns:
         Scores over setting, tracker, run and time; seconds and compile_seconds over
-        setting and tracker. Each setting by itself is a coordinate, too.
+        setting and tracker. Each setting by itself is a coordinate, too. Where settings
+        have scans at other times, time is that of all, and a score is NaN where a
+        setting has no scan.
     """
     import xarray
 
     trackers = plan.trackers
     points = [job.point for job in plan.jobs if job.name == trackers[0]]
+    times = [np.asarray(job.values[1].truth.time) for job in plan.jobs]
+    every = np.unique(np.concatenate(times))
 
-    def table(get: Callable[[Sequence[Part]], Any]) -> np.ndarray:
-        jobs = np.array([get(some) for some in done])
+    def table(values: Sequence[Any]) -> np.ndarray:
+        jobs = np.array(values)
         jobs = jobs.reshape(len(trackers), len(points), *jobs.shape[1:])
         return jobs.swapaxes(0, 1)
 
     def joined(name: str) -> np.ndarray:
-        return table(lambda x: np.concatenate([p.scores[name] for p in x])[: plan.runs])
+        some = [np.concatenate([p.scores[name] for p in x])[: plan.runs] for x in done]
+        placed = [_placed(x, own, every) for x, own in zip(some, times, strict=True)]
+        return table(placed)
 
     dims = ("setting", "tracker", "run", "time")
     columns = {name: (dims, joined(name)) for name in done[0][0].scores}
-    seconds = table(lambda x: sum(p.seconds for p in x))
-    compiling = table(lambda x: sum(p.compile_seconds for p in x))
+    seconds = table([sum(p.seconds for p in x) for x in done])
+    compiling = table([sum(p.compile_seconds for p in x) for x in done])
     columns |= {"seconds": (dims[:2], seconds)}
     columns |= {"compile_seconds": (dims[:2], compiling)}
     coords = {
         "setting": [sweep.label(point) for point in points],
         "tracker": trackers,
         "run": np.arange(plan.runs),
-        "time": np.asarray(plan.time),
+        "time": every,
     }
     swept = {name: ("setting", [p[name] for p in points]) for name in points[0]}
     settings = {name: values for name, (_, values) in swept.items()}
@@ -89,6 +95,15 @@ def dataset(plan: sweep.Plan, done: Sequence[Sequence[Part]]) -> "xarray.Dataset
         long_name, units = MEANING[str(name)]
         result[name].attrs |= {"long_name": long_name, "units": units}
     return result
+
+
+def _placed(score: np.ndarray, own: np.ndarray, every: np.ndarray) -> np.ndarray:
+    """Puts scores [R, T] where their times are among all; NaN elsewhere."""
+    if len(own) == len(every):
+        return score
+    wide = np.full((len(score), len(every)), np.nan)
+    wide[:, np.searchsorted(every, own)] = score
+    return wide
 
 
 def mean_and_error(score: "xarray.DataArray") -> dict[str, float | None]:
@@ -115,6 +130,7 @@ def summary(data: "xarray.Dataset") -> dict[str, Any]:
     for setting in data["setting"].values:
         for tracker in data["tracker"].values:
             one = data.sel(setting=setting, tracker=tracker)
+            one = one.dropna("time", how="all", subset=["num_true"])
             point = {name: float(one[name]) for name in swept}
             rows.append({"tracker": str(tracker), "setting": point, **_scores(one)})
     known = {key: data.attrs[key] for key in keys if key in data.attrs}
