@@ -76,7 +76,7 @@ def test_tracks_are_as_likely_as_all_hypotheses_say():
     which = listed.track[np.arange(len(begun)), begun]
     for scan, size in enumerate(SIZES):
         for k in range(size):
-            label = scan * max(SIZES) + k
+            label = sum(SIZES[:scan]) + k
             mine = (begun == scan) & (which == k)
             share = truth.track_prob * truth.existence_prob
             expected = share[:, mine].sum(1)

@@ -20,13 +20,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.linalg import safe_log
 from jaxtrack.trackers import multiscan_choice, verdict
 from jaxtrack.trackers.forest import Forest
 from jaxtrack.trackers.multiscan_choice import Choice
 from jaxtrack.trackers.thinning import Thinning
 from jaxtrack.types import Array
-
-SURELY = 2.0  # ranks before any probability
 
 
 class Pruned(NamedTuple):
@@ -75,8 +74,10 @@ def decide(
     score = jnp.where(agrees, trees.log_score, -jnp.inf)
     top = score.max(1)
     sure = (best >= 0) & (sure | (trees.age > num_scans))
-    rank = jnp.where(sure, SURELY, jnp.maximum(prob, jax.nn.sigmoid(top)))
-    dead = sure & (prob <= limits.exist_threshold)
+    exists = jnp.where(agrees, trees.existence_prob, 0.0)
+    alive = (score + safe_log(exists)).max(1)
+    rank = jnp.where(sure, prob, jnp.maximum(prob, jax.nn.sigmoid(alive)))
+    dead = jnp.where(sure, prob, exists.max(1)) <= limits.exist_threshold
     rank = jnp.where(agrees.any(1) & ~dead, rank, -1.0)
     # In the order in which they were begun, so that a tree stays where it is.
     kept = jnp.sort(jax.lax.top_k(rank, limits.max_tracks)[1])
@@ -85,10 +86,9 @@ def decide(
     shift = jnp.where(sure & (top > -jnp.inf), top, 0.0)
     score = score - shift[:, None]
     some = jax.tree.map(lambda x: x[kept], trees)
-    exists = jnp.where(held[:, None] & agrees[kept], some.existence_prob, 0.0)
     some = some._replace(
         log_score=jnp.where(held[:, None], score[kept], -jnp.inf),
-        existence_prob=exists,
+        existence_prob=jnp.where(held[:, None], exists[kept], 0.0),
         label=jnp.where(held, some.label, -1),
         age=jnp.where(held, some.age, 0),
     )

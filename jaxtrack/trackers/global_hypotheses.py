@@ -126,6 +126,7 @@ def distinct(hypotheses: Hypotheses, size: int) -> Leaves:
         size: L.
     """
     weight = jnp.exp(mixture.log_normalise(hypotheses.log_weight))
+    heaviest = jnp.argmax(hypotheses.log_weight)
     live = hypotheses.log_weight > -jnp.inf
     row = jnp.arange(live.size)
 
@@ -134,6 +135,7 @@ def distinct(hypotheses: Hypotheses, size: int) -> Leaves:
         same = code[:, None] == code[None]
         total = jnp.where(same, weight[None], 0.0).sum(1)
         again = (same & (row[None] < row[:, None])).any(1)
+        total = jnp.where(code == code[heaviest], 2.0, total)  # stays at any rate
         rank = jnp.where(again | (code < 0), -1.0, total)
         best, at = jax.lax.top_k(rank, min(size, row.size))
         found = jnp.where(best >= 0, code[at], -1)

@@ -11,7 +11,8 @@ lies `num_scans` scans back: leaves that say otherwise go. One scan is
     hypotheses = assign(trees)                    # over num_scans + 1 scans
     trees = those that agree with the best hypothesis, num_scans ago
 
-With `num_scans=0` it is global nearest neighbour. `mht(target=imm())` is IMM-MHT.
+With `num_scans=0` it decides at once, as global nearest neighbour does.
+`mht(target=imm())` is IMM-MHT.
 
 `log_evidence` is the log-density of the scan given the leaves that were kept, summed
 over the hypotheses that were found; `log_loss` tells how much better than the best of

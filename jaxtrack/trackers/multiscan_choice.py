@@ -58,8 +58,12 @@ class Choice(NamedTuple):
 
 
 # A sure tree, whose target is known to be there, is nothing at this price in nats only:
-# where few leaves are kept there may be no hypothesis in which all of them have one.
-LOSS = 50.0
+# where few leaves are kept there may be no hypothesis in which all of them have one. It
+# is more than any detections of a few scans are worth, against impossible clutter too,
+# or else it would pay to lose a tree and begin another with its detections.
+LOSS = 1e4
+
+ROUNDING = 100.0  # errors of a sum
 
 Chooser = Callable[[Forest, Array, int], Choice]
 
@@ -67,8 +71,8 @@ Chooser = Callable[[Forest, Array, int], Choice]
 def chooser(solver: str, max_hypotheses: int) -> Chooser:
     """Returns a function (trees, sure [N], num_detections) -> `Choice`.
 
-    `sure` trees are in every hypothesis, unless their leaves leave no room for it; the
-    others may be nothing.
+    `sure` trees, whose first leaves are missed in the scan, are in every hypothesis
+    unless their leaves leave no room for it; the others may be nothing.
 
     Args:
         solver: "lagrangian", "decomposition", "greedy" or "exact".
@@ -93,8 +97,9 @@ def _choose(
 ) -> Choice:
     """Finds the best hypothesis, and others."""
     fixed = jax.lax.stop_gradient(trees.log_score)
-    lost = jnp.where(sure, fixed.max(1) - LOSS, 0.0)
-    none = jnp.where(trees.label < 0, -jnp.inf, lost)
+    missed = trees.log_score[:, 0]  # of a sure tree, in the best hypothesis so far
+    lost = jnp.where(sure & (missed > -jnp.inf), missed - LOSS, 0.0)
+    none = jnp.where(trees.label < 0, -jnp.inf, jax.lax.stop_gradient(lost))
     score = jnp.concatenate([fixed, none[:, None].astype(fixed.dtype)], axis=1)
     past = jnp.pad(trees.past, ((0, 0), (0, 1), (0, 0)), constant_values=-1)
     problem = Problem(score, past)
@@ -122,6 +127,11 @@ def _choose(
     if beam is None:
         return Choice(best[None], top[None], label, best, total[None], log_loss)
     log_joint = multiscan.beam.together(beam).log_score
+    # The lists by clusters may lack the best, where the solver has it.
+    slack = ROUNDING * jnp.finfo(total.dtype).eps * jnp.abs(total)
+    found_more = total > log_joint[0] + slack
+    with_best = jnp.concatenate([total[None], log_joint[:-1]])
+    log_joint = jnp.where(found_more, with_best, log_joint)
     return Choice(leaf, log_weight, label, best, log_joint, log_loss)
 
 
@@ -177,13 +187,14 @@ def _weigh(trees: Forest, leaf: Array, none: Array, label: Array) -> Array:
     own = trees.log_score[tree, jnp.maximum(leaf, 0)]
     known = (leaf >= 0) & (own > -jnp.inf)
     own = jnp.where(known, jnp.where(known, own, 0.0), none[None])
-    return own @ (label[:, None] == label[None]).astype(own.dtype)
+    same = label[:, None] == label[None]
+    return jnp.where(same[None], own[:, :, None], 0.0).sum(1)
 
 
 def _everywhere(flags: Array, label: Array) -> Array:
     """Returns whether a flag [H, N] holds for all trees of the cluster, [H, N]."""
-    same = (label[:, None] == label[None]).astype(jnp.float32)
-    return (~flags).astype(jnp.float32) @ same == 0
+    same = label[:, None] == label[None]
+    return (flags[:, :, None] | ~same[None]).all(1)
 
 
 def _total(log_weight: Array, label: Array) -> Array:

@@ -125,6 +125,16 @@ def posterior(
     if params.start is not None:
         raise ValueError("start is given; give targets as undetected ones, or births")
     counts = counts or Counts()
+    most = max((len(scan.valid) for scan in scans), default=0)
+    if counts.false is not None and counts.false.size <= most:
+        raise ValueError(
+            f"counts.false has {counts.false.size} numbers and a scan has {most} "
+            f"detections; give at least {most + 1}"
+        )
+    if counts.targets is not None and params.undetected is None:
+        raise ValueError(
+            "counts.targets is given and undetected is None; say where they may be"
+        )
     listed = enumeration.table(tuple(len(scan.valid) for scan in scans))
     leaves = _begin(target, params, key)
     before = leaves.undetected.expected
@@ -134,7 +144,7 @@ def posterior(
     log_number, later = _targets(counts.targets, leaves, before, listed, max_targets)
     member = jnp.asarray(listed.member)
     log_weight = jnp.where(member, score[None], 0.0).sum(1) + log_number
-    log_weight = log_weight + _false(counts.false, params, listed)
+    log_weight = log_weight + _false(counts.false, params, listed, scans)
     log_prob = mixture.log_normalise(log_weight)
     prob = jnp.exp(log_prob)
     there = jnp.where(member, tracks.existence_prob[None], 0.0)
@@ -245,19 +255,23 @@ def _targets(
         log_rest = jnp.where(some == 0, 0.0, some * log_hidden) - gammaln(some + 1.0)
         log_weight = jnp.where(rest < 0, -jnp.inf, log_start + log_rest)
         first = jnp.roll(mixture.log_normalise(log_weight), -num_tracks)
-        keep = alive / jnp.exp(log_hidden)
+        hidden = alive + leaves.gone
+        keep = jnp.where(hidden > 0, alive / jnp.where(hidden > 0, hidden, 1.0), 0.0)
         later = jnp.exp(cardinality.thin(first, keep))
         return mixture.total(log_weight), jnp.pad(later, (0, size))[:size]
 
     return jax.vmap(given)(jnp.asarray(listed.num_tracks))
 
 
-def _false(log_number: Array | None, params: Params, listed: Table) -> Array:
+def _false(
+    log_number: Array | None, params: Params, listed: Table, scans: Sequence[Scan]
+) -> Array:
     """Weighs each hypothesis by its numbers of false detections (equation 19)."""
     rate = jnp.asarray(params.clutter.rate)
     if log_number is None:
         return -rate * listed.num_false.shape[1]
-    number = jnp.asarray(listed.num_false)
+    empty = jnp.array([(~scan.valid).sum() for scan in scans])
+    number = jnp.maximum(jnp.asarray(listed.num_false) - empty[None], 0)
     log_rates = jnp.where(number == 0, 0.0, number * safe_log(rate))
     log_weight = gammaln(number + 1.0) - log_rates
     return (log_number[number] + log_weight).sum(1)

@@ -10,6 +10,7 @@ Reference: Reid, "An algorithm for tracking multiple targets", IEEE Trans. Autom
 Control 24(6), 1979, section VI.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -45,7 +46,7 @@ def check(limits: Thinning) -> None:
     """Raises a ValueError for settings that make no sense."""
     check_share("prune_threshold", limits.prune_threshold)
     check_share("exist_threshold", limits.exist_threshold)
-    if not limits.merge_threshold >= 0:
+    if not 0 <= limits.merge_threshold < math.inf:
         raise ValueError(
             f"merge_threshold is {limits.merge_threshold}; give a squared distance, "
             "e.g. 1, or 0 for none"
@@ -53,8 +54,8 @@ def check(limits: Thinning) -> None:
 
 
 def check_share(name: str, share: float) -> None:
-    """Raises a ValueError for what is no probability."""
-    if not 0 <= share <= 1:
+    """Raises a ValueError for what is no probability below 1."""
+    if not 0 <= share < 1:
         raise ValueError(f"{name} is {share}; give a probability, e.g. 0.001")
 
 
@@ -124,7 +125,11 @@ def merge_leaves(
             places[:, None] == group[None], log_weight[None], -jnp.inf
         )  # [group, leaf]
         share = jnp.exp(jax.vmap(mixture.log_normalise)(mine))
-        belief = jax.vmap(target.collapse, (0, None))(mine, one.belief)
+        # Beliefs are about targets that still exist.
+        alive = mine + safe_log(one.existence_prob)[None]
+        gone = (alive == -jnp.inf).all(1, keepdims=True)
+        alive = jnp.where(gone, mine, alive)
+        belief = jax.vmap(target.collapse, (0, None))(alive, one.belief)
         exists = (share * one.existence_prob[None]).sum(1)
         heaviest = jnp.argmax(mine, axis=1)
         filled = (mine > -jnp.inf).any(1)

@@ -5,7 +5,8 @@ time. How likely that is, and with what belief, comes from here: from births at 
 places, of which those missed so far stay and move on; or, with `DetectionBirth`, from
 the detection alone. Then `rate` is the expected number of targets a second that are
 detected for the first time, and they are so wherever clutter falls (Reid's density of
-new targets, which has the probability of detection in it).
+new targets, which has the probability of detection in it). Its `max_existence_prob` is
+for trackers that propose births a scan ahead.
 
     >>> from jaxtrack.trackers import undetected
     >>> undetected.Params._fields
@@ -225,11 +226,12 @@ def _driven(
     belief = jax.vmap(target.begin, (None, 0, 0, 0))(
         params.target, Gaussian(places.mean, places.cov), places.mode_prob, keys
     )
-    # Spread over the sensor's space as the clutter is.
-    log_share = safe_log(new) - safe_log(jnp.asarray(params.clutter.rate, new.dtype))
-    floor = log_clutter > LEAST_LOG_WEIGHT
+    # Spread over the sensor's space as the clutter is, whatever its rate.
+    clutter = params.clutter._replace(rate=jnp.ones_like(new))
+    log_place = jax.vmap(clutter.log_density)(scan.detections)
+    log_score = safe_log(new) + log_place - log_clutter
     return Firsts(
-        log_score=jnp.where(valid & floor, log_share, -jnp.inf),
+        log_score=jnp.where(valid, log_score, -jnp.inf),
         belief=belief,
         missed=undetected,
         found=new,

@@ -121,8 +121,8 @@ def variance(there: Array, views: Views) -> Array:
     """
     prob = jnp.exp(views.log_prob)
     within = (prob * there * (1 - there)).sum()
-    same = (views.label[:, None] == views.label[None]).astype(there.dtype)
-    number = there @ same  # in the whole cluster, [H, N]
+    same = views.label[:, None] == views.label[None]
+    number = jnp.where(same[None], there[:, :, None], 0.0).sum(1)  # in the cluster
     mean = (prob * number).sum(0)
     between = (prob * (number - mean[None]) ** 2).sum(0)
     return within + jnp.where(_leads(views), between, 0.0).sum()
