@@ -116,6 +116,7 @@ def agreeing(trees: Forest, best: Array, num: int) -> Array:
     wants = first[:, :, None] == jnp.arange(num)[None, None]  # [N, L, K]
     claim = jnp.where(wants, trees.log_score[:, :, None], -jnp.inf).max(1)
     owns = decided[:, None] == jnp.arange(num)[None]
+    claim = jnp.where((best >= 0)[:, None], -jnp.inf, claim)
     claim = jnp.where(owns, jnp.inf, claim)
     owner = jnp.argmax(claim, axis=0)  # [K]
     mine = (first < 0) | (owner[jnp.maximum(first, 0)] == tree[:, None])

@@ -8,7 +8,7 @@ one hypothesis would have done; where many are level, no display of one is right
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import verdict
     >>> sure, torn = jnp.log(jnp.array([1.0, 0.0])), jnp.log(jnp.array([0.5, 0.5]))
-    >>> print(verdict.entropy(sure), verdict.entropy(torn).round(3))
+    >>> print(verdict.runner_up(sure), f"{verdict.entropy(torn):.3f}")
     0.0 0.693
 
 Reference: Chong, Mori and Reid, "Forty years of multiple hypothesis tracking", Journal
