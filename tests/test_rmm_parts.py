@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases.randomized import DETECT, RATE, SIDE, SURVIVE, H, R, matrices, params
 from reference import kalman as book
-from reference import randomized
+from reference import shared_models
 
 from jaxtrack import linearize
 from jaxtrack.assign.multiscan import host
@@ -82,7 +82,7 @@ def test_update_is_the_best_linear_estimate(seed):
     prob = np.array([[0.6, 0.2], [0.4, 0.5]])
     detections = rng.normal(size=(2, 2)) * 4
     found = updated(stack, prob, detections, 0.99)
-    mean, cov = randomized.lmmse(
+    mean, cov = shared_models.lmmse(
         stack.mean.reshape(-1), flat(stack.cov), choices(stack, prob), detections
     )
     np.testing.assert_allclose(found.mean.reshape(-1), mean, rtol=1e-10)
@@ -99,7 +99,7 @@ def test_two_scans_are_the_best_linear_estimate_from_both():
     now = updated(stack, prob, first, 0.99)
     now = updated(now, prob, second, 0.99)
     both = choices(stack, prob) * 2
-    mean, cov = randomized.lmmse(
+    mean, cov = shared_models.lmmse(
         stack.mean.reshape(-1), flat(stack.cov), both, [*first, *second]
     )
     np.testing.assert_allclose(now.mean.reshape(-1), mean, rtol=1e-10)
@@ -118,7 +118,7 @@ def test_prediction_has_the_moments_of_all_realisations(seed):
         [(p, F, np.zeros(4), Q) for p, (F, Q) in zip(row, each, strict=True)]
         for row in prob
     ]
-    mean, cov = randomized.moved(stack.mean, flat(stack.cov), maps)
+    mean, cov = shared_models.moved(stack.mean, flat(stack.cov), maps)
     np.testing.assert_allclose(now.mean, mean, rtol=1e-10)
     np.testing.assert_allclose(flat(now.cov), cov, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(flat(now.state_cov), cov, rtol=1e-10, atol=1e-12)
@@ -174,7 +174,7 @@ def test_leaves_have_the_best_of_all_models(sizes):
         for s, d in zip(SURVIVE, DETECT, strict=True)
     ]
     scans = [x[v] for x, v in zip(window.detections, window.valid, strict=True)]
-    expected = randomized.leaves(*belief, [matrices(0.7)] * 2, (H, R), ratios, scans)
+    expected = shared_models.leaves(*belief, [matrices(0.7)] * 2, (H, R), ratios, scans)
     seen = {}
     for score, first, mode_prob, past in zip(*found, strict=True):
         if score > -np.inf:
