@@ -88,6 +88,77 @@ def test_a_single_model_far_apart_is_a_kalman_filter():
     np.testing.assert_allclose(found.log_evidence.sum(), evidence, rtol=1e-9)
 
 
+def run_in_turn(params, sensors, detects, scans):
+    """Every scan has its own sensor and detection."""
+    tracker = rmm_mht.rmm_mht(**ROOM)
+
+    def step(state, now):
+        sensor, detect, scan = now
+        target = params.target._replace(sensor=sensor, detect=detect)
+        return tracker.step(params._replace(target=target), state, scan)
+
+    first = jax.tree.map(lambda x: x[0], (sensors, detects))
+    target = params.target._replace(sensor=first[0], detect=first[1])
+    state = tracker.init(params._replace(target=target), jax.random.key(0))
+    return jax.lax.scan(step, state, (sensors, detects, scans))[1]
+
+
+@pytest.mark.slow
+def test_two_radars_in_turn_are_an_extended_kalman_filter():
+    """Detections have ages, and what was seen before keeps its own radar."""
+    rng = np.random.default_rng(6)
+    num, seen = 6, [1, 1, 0, 1, 0, 1]
+    noise_std = np.tile([[0.5, 0.01], [0.8, 0.02]], (3, 1))
+    place = np.tile([[0.0, 0.0], [80.0, 10.0]], (3, 1))
+    prob = np.tile([0.9, 0.7], 3)
+    ages = np.array([0.0, 0.2, 0.1, 0.0, 0.3, 0.4])
+    start = start_of([[40.0, 1.0, 30.0, -1.0]])
+    given = params(start, clutter_rate=1e-3)
+    target = given.target._replace(
+        motions=given.target.motions[:1] * 2, survive=probability.Constant(1.0)
+    )
+    low, high = np.array([0.0, -np.pi]), np.array([200.0, np.pi])
+    given = given._replace(
+        target=target,
+        birth=given.birth._replace(rate=np.array(1e-9)),
+        clutter=given.clutter._replace(low=low, high=high),
+    )
+    path = np.array([40.0, 30.0]) + np.arange(1, num + 1)[:, None] * [1.0, -1.0]
+    off = path - place
+    polar = np.stack([np.hypot(*off.T), np.arctan2(*off.T[::-1])], 1)
+    polar = polar + rng.normal(size=(num, 2)) * noise_std
+    detections = np.concatenate([polar, ages[:, None]], 1)[:, None]
+    scans = Scan(detections, np.array(seen)[:, None] > 0, np.ones(num))
+    radars = sensor.Timed(sensor.RangeBearing(noise_std, place, np.zeros(num)))
+    found = jax.jit(run_in_turn)(given, radars, probability.Constant(prob), scans)
+    F, Q = matrices(1.0)[0]
+    m, P = start.mean[0], start.cov[0]
+    evidence = -num * (1e-3 + 1e-9)
+    for t in range(num):
+        m, P = book.predict(m, P, F, np.zeros(4), Q)
+        evidence += np.log(prob[t] if seen[t] else 1 - prob[t])
+        if seen[t]:
+            x, y = H @ m - ages[t] * m[[1, 3]] - place[t]
+            r = np.hypot(x, y)
+            slope = np.array([[x / r, y / r], [-y / r**2, x / r**2]])
+            J = slope @ (H - ages[t] * np.eye(4)[[1, 3]])
+            offset = np.array([r, np.arctan2(y, x)]) - J @ m
+            noise = np.diag(noise_std[t] ** 2)
+            m, P, log_density = book.update(m, P, J, offset, noise, polar[t])
+            evidence += log_density
+        np.testing.assert_allclose(found.mean[t, 0], m, rtol=1e-9)
+        np.testing.assert_allclose(found.cov[t, 0], P, rtol=1e-9, atol=1e-12)
+    assert found.exists[:, 0].all()
+    np.testing.assert_allclose(found.log_evidence.sum(), evidence, rtol=1e-8)
+
+
+def test_a_target_without_models_is_refused():
+    given = params()
+    given = given._replace(target=given.target.sensor)
+    with pytest.raises(ValueError, match="target has no motions; give targets.imm"):
+        rmm_mht.rmm_mht(**ROOM).init(given, jax.random.key(0))
+
+
 def test_missed_targets_go_and_empty_scans_are_harmless():
     start = start_of([[-20.0, 0.5, 10.0, 0.5], [15.0, -0.3, -12.0, -0.3]])
     seen = np.array([[1, 1], [1, 1], [0, 1], [0, 1], [0, 1], [0, 0]]) > 0

@@ -146,13 +146,15 @@ def test_certain_association_is_a_kalman_filter_each():
         np.testing.assert_array_equal(cross, 0)  # Corollary 1
 
 
-def window_of(rng, sizes, room=4):
+def window_of(rng, sizes, given=None, room=4):
     detections, valid = np.zeros((len(sizes), room, 2)), np.zeros((len(sizes), room))
     for n, size in enumerate(sizes):
         detections[n, :size] = rng.normal(size=(size, 2)) * 2
         valid[n, :size] = 1
     ones = np.ones(len(sizes))
-    return rmm_leaves.Window(detections, valid > 0, 0.7 * ones, ones > 0)
+    look = rmm_leaves.look_of(given or params())
+    look = jax.tree.map(lambda x: np.stack([x] * len(sizes)), look)
+    return rmm_leaves.Window(detections, valid > 0, 0.7 * ones, ones > 0, look)
 
 
 @functools.cache
@@ -192,12 +194,11 @@ def test_models_that_are_level_share_equally():
     same = params().target._replace(
         survive=probability.Constant(0.9), detect=probability.Constant(0.8)
     )
+    given = params()._replace(target=same)
     rules = rmm_leaves.Rules(TAYLOR, 1.0, 1)
-    window = window_of(np.random.default_rng(0), (1, 1))
+    window = window_of(np.random.default_rng(0), (1, 1), given)
     belief = Gaussian(jnp.zeros(4), jnp.eye(4))
-    grow = jax.jit(
-        lambda b, w: rmm_leaves.grow(rules, params()._replace(target=same), b, w)
-    )
+    grow = jax.jit(lambda b, w: rmm_leaves.grow(rules, given, b, w))
     found = grow(belief, window)
     np.testing.assert_allclose(found.mode_prob, 0.5)
 

@@ -90,9 +90,10 @@ def find(
     """
     target, keys = imm.imm(), jax.random.split(key)
     first = jax.tree.map(lambda x: x[0], window)
+    seen = rmm_leaves.through(params, first.through)
     scan = Scan(first.detections, first.valid, first.interval)
-    later = undetected.predict(target, params, hidden, first.interval, keys[0])
-    firsts = undetected.see(target, params, later, scan, keys[1])
+    later = undetected.predict(target, seen, hidden, first.interval, keys[0])
+    firsts = undetected.see(target, seen, later, scan, keys[1])
     belief = jax.vmap(target.moments)(firsts.belief)
     new = _begin(starts, rules, params, belief, firsts.log_score, hits, window)
     before = _longer(hidden, len(firsts.missed.log_weight))

@@ -31,6 +31,20 @@ from jaxtrack.types import Array, Gaussian
 LEVEL = 32  # units in the last place by which two scores may differ and be level
 
 
+class Look(NamedTuple):
+    """Through what a scan was seen: values of the `Params` of that scan.
+
+    Attributes:
+        sensor: Of `models.sensor` or `models.converted`.
+        detect: Of `models.probability`.
+        clutter: Of `models.clutter`.
+    """
+
+    sensor: Any
+    detect: Any
+    clutter: Any
+
+
 class Window(NamedTuple):
     """S scans, the oldest first.
 
@@ -39,12 +53,14 @@ class Window(NamedTuple):
         valid: Which of them are there, [S, K] (bool).
         interval: Seconds since the scan before, [S].
         looked: Whether the sensor looked at all, [S] (bool).
+        through: Its sensor, detection and clutter, each value [S, ...].
     """
 
     detections: Array
     valid: Array
     interval: Array
     looked: Array
+    through: Look
 
 
 class Leaves(NamedTuple):
@@ -99,7 +115,8 @@ def grow(rules: Rules, params: Any, belief: Gaussian, window: Window) -> Leaves:
 
     Args:
         rules: Settings.
-        params: The tracker's `Params`: target and clutter.
+        params: The tracker's `Params`: target and clutter; each scan of the window has
+            its own sensor.
         belief: Before the first scan: mean [D], cov [D, D].
         window: S scans.
     """
@@ -123,6 +140,17 @@ def grow(rules: Rules, params: Any, belief: Gaussian, window: Window) -> Leaves:
     )
 
 
+def look_of(params: Any) -> Look:
+    """Returns through what the tracker's `Params` see a scan."""
+    return Look(params.target.sensor, params.target.detect, params.clutter)
+
+
+def through(params: Any, look: Look) -> Any:
+    """Returns the tracker's `Params` as they were when a scan was seen."""
+    target = params.target._replace(sensor=look.sensor, detect=look.detect)
+    return params._replace(target=target, clutter=look.clutter)
+
+
 def survival(target: Any, mean: Array, interval: Array, looked: Array) -> Array:
     """Returns the log-probability to survive under each model, [M].
 
@@ -141,7 +169,8 @@ def _extend(
     rules: Rules, params: Any, growth: _Growth, scan: Window, last: bool
 ) -> _Growth:
     """Takes leaves through a scan: moves, scores, keeps the best and corrects them."""
-    target, num_modes = params.target, len(params.target.motions)
+    params, num_modes = through(params, scan.through), len(params.target.motions)
+    target = params.target
     each = jax.vmap(jax.vmap(lambda prior: _move(rules, target, prior, scan)))
     moved, log_survive = each(growth.belief)  # [L, Q, M]
     moved, log_survive = jax.tree.map(_joined, (moved, log_survive))

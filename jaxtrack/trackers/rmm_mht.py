@@ -38,6 +38,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import gate, linearize
+from jaxtrack.models.sensor import Timed
 from jaxtrack.targets import imm
 from jaxtrack.trackers import (
     association,
@@ -114,7 +115,9 @@ def rmm_mht(
     """Makes a randomized multiple-model multiple hypothesis tracker.
 
     Its `Params` are those of `undetected`, with `targets.imm.Params` for the target, of
-    which the switching only moves undetected ones.
+    which the switching only moves undetected ones. The values of sensor, detection and
+    clutter may change from scan to scan, as where several sensors take turns: a scan in
+    the window keeps its own.
 
     Args:
         num_scans: Scans in the window, S; the paper has 2.
@@ -189,15 +192,24 @@ def _check(
 
 
 def _init(settings: Settings, params: Params, key: Array) -> State:
-    """Starts with the known targets, before a window in which nobody looked."""
+    """Starts with the known targets, before a window in which nobody looked.
+
+    Raises:
+        ValueError: The target has no models, or what is known finds no room.
+    """
+    if not hasattr(params.target, "motions"):
+        raise ValueError("target has no motions; give targets.imm.Params")
     keys = jax.random.split(key)
     hidden = undetected.begin(imm.imm(), params, settings.max_undetected, keys[0])
     like, dim = hidden.log_weight.dtype, params.target.layout.dim
     tracks = rmm_tracks.begin(
         params.start, settings.limits.max_tracks, jnp.zeros(dim, like)
     )
-    outputs = jnp.zeros(params.target.sensor.num_outputs, like)
-    window = rmm_window.begin(settings.num_scans - 1, settings.max_detections, outputs)
+    sensor = params.target.sensor
+    width = sensor.num_outputs + isinstance(sensor, Timed)
+    blank = jnp.zeros(width, like)
+    size, look = settings.num_scans - 1, rmm_leaves.look_of(params)
+    window = rmm_window.begin(size, settings.max_detections, blank, look)
     zero, known = jnp.zeros((), like), (tracks.label >= 0).sum()
     return State(tracks, window, hidden, zero, known, keys[1])
 
@@ -207,7 +219,7 @@ def _step(
 ) -> tuple[State, rmm_estimate.Estimate]:
     """Decides the first scan of the window, and follows the tracks to the last."""
     scan, (key, seed) = association.filled(scan), jax.random.split(state.key)
-    window, lost = rmm_window.push(state.window, scan)
+    window, lost = rmm_window.push(state.window, scan, rmm_leaves.look_of(params))
     grow = jax.vmap(lambda x: rmm_leaves.grow(settings.rules, params, x, window))
     leaves = grow(rmm_stack.each(state.tracks.stack))
     course, found = rmm_tracks.associate(
@@ -264,16 +276,16 @@ def _advance(
     n: int,
 ) -> rmm_stack.Stack:
     """Takes all targets through scan n of the window."""
-    target, (method, gate_prob, _) = params.target, settings.rules
-    moved = rmm_stack.predict(
-        method, target, stack, course.models[:, n], window.interval[n]
-    )
+    now = jax.tree.map(lambda x: x[n], window)
+    target = rmm_leaves.through(params, now.through).target
+    method, gate_prob, _ = settings.rules
+    moved = rmm_stack.predict(method, target, stack, course.models[:, n], now.interval)
     hits = course.hits[:, n]
     total = hits.sum(0)
     prob = hits / jnp.maximum(total, 1.0)[None]
     room = min(2 * len(hits), total.size)
     some = jax.lax.top_k(total, room)[1]
-    now = rmm_stack.update(
-        method, target, moved, prob[:, some], window.detections[n][some], gate_prob
+    found = rmm_stack.update(
+        method, target, moved, prob[:, some], now.detections[some], gate_prob
     )
-    return now if settings.linear else rmm_stack.begun_again(now)
+    return found if settings.linear else rmm_stack.begun_again(found)

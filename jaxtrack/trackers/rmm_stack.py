@@ -194,8 +194,7 @@ def update(
     there = total > 0
     weight = prob / jnp.where(there, total, 1.0)[None]
     noise = _noise(now, seen, prob, weight, total, gate_prob)
-    size = detections.shape[1]
-    blank = jnp.eye(size, dtype=noise.dtype)[None]
+    blank = jnp.eye(noise.shape[-1], dtype=noise.dtype)[None]
     noise = jnp.where(there[:, None, None], noise, blank)
     surprise = jnp.einsum("nc,ncz->cz", weight, seen.surprise).reshape(-1)
     matrix = jnp.einsum("nc,nczd->cznd", prob, seen.matrix)

@@ -2,10 +2,12 @@
 
 >>> import jax.numpy as jnp
 >>> from jaxtrack.trackers import rmm_window
+>>> from jaxtrack.trackers.rmm_leaves import Look
 >>> from jaxtrack.types import Scan
->>> window = rmm_window.begin(1, 2, jnp.zeros(3))  # one scan of two detections
+>>> look = Look(None, None, None)  # of sensor, detection and clutter
+>>> window = rmm_window.begin(1, 2, jnp.zeros(3), look)  # one scan, two detections
 >>> scan = Scan(jnp.ones((4, 3)), jnp.array([True, False, True, True]), jnp.array(1.0))
->>> window, lost = rmm_window.push(window, scan)
+>>> window, lost = rmm_window.push(window, scan, look)
 >>> print(window.valid.sum(1), window.looked, lost)
 [0 2] [False  True] 1
 """
@@ -16,33 +18,40 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.trackers.association import LEAST_LOG_WEIGHT
-from jaxtrack.trackers.rmm_leaves import Window
+from jaxtrack.trackers.rmm_leaves import Look, Window
 from jaxtrack.types import Array, Scan
 
 
-def begin(num_scans: int, max_detections: int, like: Array) -> Window:
+def begin(num_scans: int, max_detections: int, like: Array, look: Look) -> Window:
     """Makes the scans before the first one, in which no sensor looked.
 
     Args:
         num_scans: How many.
         max_detections: Room in a scan, K.
         like: Any detection [Z] of the wanted kind.
+        look: Of the same kind as of the scans to come.
     """
     shape = num_scans, max_detections
+
+    def repeated(x: Array) -> Array:
+        return jnp.repeat(jnp.array(x)[None], num_scans, axis=0)
+
     return Window(
         detections=jnp.zeros((*shape, like.size), like.dtype),
         valid=jnp.zeros(shape, bool),
         interval=jnp.zeros(num_scans, like.dtype),
         looked=jnp.zeros(num_scans, bool),
+        through=jax.tree.map(repeated, look),
     )
 
 
-def push(window: Window, scan: Scan) -> tuple[Window, Array]:
+def push(window: Window, scan: Scan, look: Look) -> tuple[Window, Array]:
     """Adds a scan; returns how many of its detections found no room, too.
 
     Args:
         window: S - 1 scans.
         scan: Any number of detections.
+        look: Through what it was seen.
     """
     room = window.valid.shape[1]
     first = jnp.argsort(~scan.valid, stable=True)[:room]
@@ -55,6 +64,7 @@ def push(window: Window, scan: Scan) -> tuple[Window, Array]:
         valid,
         jnp.asarray(scan.interval, window.interval.dtype),
         jnp.array(True),
+        jax.tree.map(lambda x: jnp.array(x), look),
     )
     longer = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), window, new)
     return longer, scan.valid.sum() - valid.sum()
