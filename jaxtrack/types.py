@@ -75,7 +75,7 @@ class Scans(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The belief about one target, as a tracker sees it: sixteen functions.
+    """The belief about one target, as a tracker sees it: seventeen functions.
 
     A tracker knows nothing of how one target is filtered; a target knows nothing of
     how many there are. Survival and detection may depend on mode and state, so their
@@ -115,6 +115,9 @@ class Target(NamedTuple):
             away when it was last predicted or collapsed; 0 where nothing can be lost.
         effective_size: (belief) -> scalar. How many equally weighted particles the
             belief is worth; 0 where it is no sample.
+        smooth: (params, belief, later, interval) -> belief. What `later`, known of it
+            one interval afterwards by more data, tells about it now; None where that
+            cannot be said.
     """
 
     begin: Callable[..., PyTree]
@@ -133,6 +136,7 @@ class Target(NamedTuple):
     modes: Callable[[PyTree], Array]
     lost: Callable[[PyTree], Array]
     effective_size: Callable[[PyTree], Array]
+    smooth: Callable[..., PyTree] | None = None
 
 
 class Tracker(NamedTuple):

@@ -33,7 +33,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linearize, mixture
-from jaxtrack.targets import banks, blending, gauge, verbs
+from jaxtrack.targets import banks, blending, gauge, smoothing, verbs
 from jaxtrack.types import Array, Mixture, Target
 
 
@@ -98,6 +98,7 @@ def imm(
         modes=lambda bank: mixture.normalise(bank.log_weight),
         lost=lambda bank: jnp.zeros((), bank.mean.dtype),
         effective_size=verbs.no_sample,
+        smooth=functools.partial(smoothing.bank, method),
     )
 
 

@@ -80,6 +80,7 @@ def single(method: linearize.Method = linearize.taylor) -> Target:
         modes=lambda belief: jnp.ones(1, belief.mean.dtype),
         lost=lambda belief: jnp.zeros((), belief.mean.dtype),
         effective_size=verbs.no_sample,
+        smooth=functools.partial(_smooth, method),
     )
 
 
@@ -94,6 +95,17 @@ def _predict(
     log_survive = safe_log(params.survive.prob(0, belief.mean, interval))
     motion = linearize.motion_affine(params.motion, belief, interval, method)
     return kalman.predict(belief, motion), log_survive
+
+
+def _smooth(
+    method: linearize.Method,
+    params: Params,
+    belief: Gaussian,
+    later: Gaussian,
+    interval: Array,
+) -> Gaussian:
+    motion = linearize.motion_affine(params.motion, belief, interval, method)
+    return kalman.smooth_step(belief, motion, kalman.predict(belief, motion), later)
 
 
 def _miss(params: Params, belief: Gaussian) -> tuple[Gaussian, Array]:

@@ -53,6 +53,7 @@ def decide(
     sure: Array,
     found: Choice,
     num_detections: int,
+    awaited: Array | bool = False,
 ) -> Pruned:
     """Keeps what agrees with the best hypothesis about the window's first scan.
 
@@ -66,6 +67,7 @@ def decide(
         sure: Which of them are in every hypothesis, [N + K] (bool).
         found: The hypotheses.
         num_detections: K, of a scan.
+        awaited: Which trees stay even if their targets are dead, [N + K] (bool).
     """
     best, views = found.best, found.views
     agrees = agreeing(trees, best, num_detections) & (trees.log_score > -jnp.inf)
@@ -78,7 +80,7 @@ def decide(
     alive = (score + safe_log(exists)).max(1)
     rank = jnp.where(sure, prob, jnp.maximum(prob, jax.nn.sigmoid(alive)))
     dead = jnp.where(sure, prob, exists.max(1)) <= limits.exist_threshold
-    rank = jnp.where(agrees.any(1) & ~dead, rank, -1.0)
+    rank = jnp.where(agrees.any(1) & (awaited | ~dead), rank, -1.0)
     # In the order in which they were begun, so that a tree stays where it is.
     kept = jnp.sort(jax.lax.top_k(rank, limits.max_tracks)[1])
     held = rank[kept] >= 0

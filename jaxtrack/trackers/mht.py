@@ -43,6 +43,7 @@ from jaxtrack.trackers import (
     forest,
     meeting,
     multiscan_choice,
+    retrodiction,
     thinning,
     undetected,
     verdict,
@@ -63,6 +64,7 @@ class State(NamedTuple):
         undetected: U components.
         next_label: The first free label.
         key: Random key.
+        history: Of the leaves, if a delayed output was asked for.
     """
 
     trees: Forest
@@ -72,6 +74,7 @@ class State(NamedTuple):
     undetected: Undetected
     next_label: Array
     key: Array
+    history: retrodiction.History | None = None
 
 
 class Settings(NamedTuple):
@@ -85,6 +88,7 @@ class Settings(NamedTuple):
     gating: association.Gating
     thinning: thinning.Thinning
     report_threshold: float
+    delay: int | None
 
 
 @functools.cache
@@ -100,6 +104,7 @@ def mht(
     prune_threshold: float = 1e-5,
     exist_threshold: float = 1e-3,
     report_threshold: float = 0.5,
+    delay: int | None = None,
 ) -> Tracker:
     """Makes a track-oriented multiple hypothesis tracker.
 
@@ -118,6 +123,8 @@ def mht(
         exist_threshold: A tree goes where its target exists with less probability.
         report_threshold: A track of the best hypothesis is reported where its target
             exists with more probability.
+        delay: Scans after which where the targets were is reported once more, smoothed;
+            at least `num_scans`. None for no such output.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -137,6 +144,7 @@ def mht(
     limits = thinning.Thinning(max_tracks, prune_threshold, exist_threshold)
     thinning.check(limits)
     thinning.check_share("report_threshold", report_threshold)
+    retrodiction.check(delay, num_scans, target)
     settings = Settings(
         target=target,
         choose=multiscan_choice.chooser(solver, max_hypotheses),
@@ -146,6 +154,7 @@ def mht(
         gating=association.Gating(gate_prob, in_missed=False, counts_clutter=False),
         thinning=limits,
         report_threshold=report_threshold,
+        delay=delay,
     )
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)
@@ -161,7 +170,10 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     zero = jnp.zeros((), trees.log_score.dtype)
     known = trees.label >= 0
     best = jnp.where(known, 0, -1).astype(jnp.int32)
-    return State(trees, best, known, zero, hidden, known.sum(), keys[2])
+    history = None
+    if settings.delay is not None:
+        history = retrodiction.begin(trees, settings.delay)
+    return State(trees, best, known, zero, hidden, known.sum(), keys[2], history)
 
 
 def _step(
@@ -173,8 +185,13 @@ def _step(
     met = meeting.meet(
         settings.gating, target, params, state.trees, state.undetected, scan, seed
     )
-    trees, lost_leaves = _grow(settings, params, met, state, scan)
+    trees, parent, lost_leaves = _grow(settings, params, met, state, scan)
     trees, label = forest.plant(trees, met.firsts, state.next_label)
+    history = state.history
+    if history is not None:
+        history = retrodiction.remember(
+            history, met.trees.log_score, trees, parent, scan.interval
+        )
     sure = jnp.pad(state.sure, (0, len(scan.valid)))
     found = settings.choose(trees, sure, len(scan.valid))
     hidden, unseen = undetected.reduce(met.firsts.missed, settings.max_undetected)
@@ -189,16 +206,38 @@ def _step(
         dropped=unseen,
         log_loss=found.log_loss,
     )
+    estimate, awaited = _look_back(settings, params, history, trees, found, estimate)
+    limits, number = settings.thinning, len(scan.valid)
     pruned = deciding.decide(
-        settings.thinning, settings.num_scans, trees, sure, found, len(scan.valid)
+        limits, settings.num_scans, trees, sure, found, number, awaited
     )
     kept = pruned.kept
+    if history is not None:
+        history = retrodiction.keep(history, kept)
     lost = (estimate.existence_prob[: lost_leaves.size] * lost_leaves).sum()
     gone = estimate.existence_prob.sum() - estimate.existence_prob[kept].sum()
     estimate = estimate._replace(dropped=unseen + lost + jnp.maximum(gone, 0.0))
     estimate = _some(estimate, kept)
-    following = State(*pruned[:4], hidden, label, key)
-    return following, estimate
+    return State(*pruned[:4], hidden, label, key, history), estimate
+
+
+def _look_back(
+    settings: Settings,
+    params: Params,
+    history: retrodiction.History | None,
+    trees: Forest,
+    found: multiscan_choice.Choice,
+    estimate: verdict.Estimate,
+) -> tuple[verdict.Estimate, Array | bool]:
+    """Adds the delayed output; tells which trees must stay for it, [N + K]."""
+    if history is None:
+        return estimate, False
+    leaf = verdict.leaves(trees, found.views)
+    retrodicted = retrodiction.retrodict(
+        settings.target, params.target, history, trees, leaf, settings.report_threshold
+    )
+    awaited = retrodiction.awaited(history, leaf[0])
+    return estimate._replace(retrodicted=retrodicted), awaited
 
 
 def _grow(
@@ -207,8 +246,8 @@ def _grow(
     met: meeting.Meeting,
     state: State,
     scan: Scan,
-) -> tuple[Forest, Array]:
-    """Follows leaves by detections; returns the share of each tree that was lost, too.
+) -> tuple[Forest, Array, Array]:
+    """Follows leaves by detections; returns their old leaves and what was lost, too.
 
     Only the likeliest of them are corrected. That the best hypothesis goes on with
     nothing detected is always among them, so that there is one that is possible.
@@ -243,7 +282,7 @@ def _grow(
     held, all_of_it = total(grown.log_score), total(every)
     known = all_of_it > -jnp.inf
     share = jnp.where(known, held, 0.0) - jnp.where(known, all_of_it, 0.0)
-    return grown, jnp.where(known, -jnp.expm1(jnp.minimum(share, 0.0)), 0.0)
+    return grown, parent, jnp.where(known, -jnp.expm1(jnp.minimum(share, 0.0)), 0.0)
 
 
 def _some(estimate: verdict.Estimate, kept: Array) -> verdict.Estimate:
@@ -253,4 +292,5 @@ def _some(estimate: verdict.Estimate, kept: Array) -> verdict.Estimate:
         for name in ("mean", "cov", "label", "exists", "existence_prob", "mode_prob")
     }
     size = estimate.effective_size[kept]
-    return estimate._replace(effective_size=size, **per_tree)
+    past = jax.tree.map(lambda x: x[kept], estimate.retrodicted)
+    return estimate._replace(effective_size=size, retrodicted=past, **per_tree)

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.trackers.forest import Forest
+from jaxtrack.trackers.retrodiction import Retrodiction
 from jaxtrack.types import Array, Target
 
 
@@ -47,6 +48,7 @@ class Estimate(NamedTuple):
             is none, 1 if they are level.
         log_loss: How much likelier than the best of them one may be that was not
             found, the log of a ratio; 0 if there is none.
+        retrodicted: Where the targets were some scans ago, if that was asked for.
     """
 
     mean: Array
@@ -64,6 +66,7 @@ class Estimate(NamedTuple):
     entropy: Array
     runner_up: Array
     log_loss: Array
+    retrodicted: Retrodiction | None = None
 
 
 class Views(NamedTuple):
@@ -98,6 +101,24 @@ def runner_up(log_prob: Array) -> Array:
     best = jnp.argmax(log_prob)
     others = jnp.where(jnp.arange(log_prob.size) == best, -jnp.inf, log_prob)
     return jnp.exp(others.max(initial=-jnp.inf) - log_prob[best])
+
+
+def leaves(forest: Forest, views: Views) -> tuple[Array, Array]:
+    """Returns the leaf of the best hypothesis of each tree, and the one to show.
+
+    Args:
+        forest: N trees.
+        views: What may be.
+
+    Returns:
+        [N], -1 for none; and [N], the likeliest where the best hypothesis has none.
+    """
+    row, tree = jnp.argmax(views.log_prob, axis=0), jnp.arange(views.label.size)
+    best = views.leaf[row, tree]
+    column = jnp.arange(forest.log_score.shape[1])
+    has = views.leaf[:, :, None] == column[None, None]
+    share = jnp.where(has, jnp.exp(views.log_prob)[:, :, None], 0.0).sum(0)
+    return best, jnp.where(best >= 0, best, jnp.argmax(share, axis=1))
 
 
 def exists(forest: Forest, leaf: Array) -> Array:
@@ -161,11 +182,7 @@ def report(
     there = exists(forest, views.leaf)
     existence_prob = (prob * there).sum(0)
     row, tree = jnp.argmax(views.log_prob, axis=0), jnp.arange(views.label.size)
-    best = views.leaf[row, tree]
-    column = jnp.arange(forest.log_score.shape[1])
-    has = views.leaf[:, :, None] == column[None, None]
-    share = jnp.where(has, prob[:, :, None], 0.0).sum(0)
-    shown = jnp.where(best >= 0, best, jnp.argmax(share, axis=1))
+    _, shown = leaves(forest, views)
     belief = jax.tree.map(lambda x: x[tree, shown], forest.belief)
     moments = jax.vmap(target.moments)(belief)
     first = _leads(views)

@@ -1,0 +1,247 @@
+"""Where targets were some scans ago, by all that is known now.
+
+Every leaf of a track tree remembers what was believed of its target after each of the
+last scans. What is reported of a scan waits `delay` scans: the best hypothesis by then
+says which leaf it was, and a smoother carries what came later back. As hypotheses are
+decided after `num_scans` scans, a delay of at least as many shows nothing that is taken
+back: tracks do not hop from one hypothesis to another.
+
+A target that has not been detected since may have died. If it existed with probability
+r after a scan, and what followed had probability q, it was dead by then with
+probability (1 - r) / q.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.trackers import retrodiction
+    >>> exist, log_gain = jnp.array([0.5, 0.2]), jnp.log(jnp.array([1.0, 0.625]))
+    >>> seen = jnp.array([False, False])  # it was missed twice
+    >>> print(retrodiction.existed(exist, log_gain, seen).round(2))
+    0.2
+
+Reference: Drummond, "Target tracking with retrodicted discrete probabilities", Signal
+and Data Processing of Small Targets, SPIE 3163, 1997.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.trackers.forest import Forest
+from jaxtrack.types import Array, PyTree, Target
+
+
+class History(NamedTuple):
+    """What the leaves of N trees were believed to be, after each of W scans.
+
+    Attributes:
+        belief: About each target; the newest last, [N, L, W, ...].
+        existence_prob: [N, L, W].
+        log_gain: What each scan added to the score, [N, L, W].
+        seen: Whether the leaf has a detection of it, [N, L, W] (bool).
+        interval: Seconds before each scan, [W].
+        num: How many scans there have been.
+    """
+
+    belief: PyTree
+    existence_prob: Array
+    log_gain: Array
+    seen: Array
+    interval: Array
+    num: Array
+
+
+class Retrodiction(NamedTuple):
+    """What is known of a scan that lies `delay` scans back.
+
+    Attributes:
+        mean: [N, D].
+        cov: [N, D, D].
+        mode_prob: [N, M].
+        label: [N] (int).
+        exists: The best hypothesis has it, and it was there, [N] (bool).
+        existence_prob: That it was there, if the best hypothesis is true, [N].
+    """
+
+    mean: Array
+    cov: Array
+    mode_prob: Array
+    label: Array
+    exists: Array
+    existence_prob: Array
+
+
+def check(delay: int | None, num_scans: int, target: Target) -> None:
+    """Raises a ValueError for a delay that makes no sense."""
+    if delay is None:
+        return
+    if delay < max(num_scans, 1):
+        raise ValueError(
+            f"delay is {delay}; give at least {max(num_scans, 1)}, the scans after "
+            "which hypotheses are decided, or None for no delayed output"
+        )
+    if target.smooth is None:
+        raise ValueError(
+            f"delay is {delay}, and this target cannot be smoothed; use targets.single "
+            "or targets.imm, or delay=None"
+        )
+
+
+def begin(trees: Forest, delay: int) -> History:
+    """Returns a history of nothing but what the trees are before the first scan."""
+    size = delay + 1
+    exists = trees.existence_prob
+
+    def often(x: Array) -> Array:
+        return jnp.broadcast_to(x[:, :, None], (*x.shape[:2], size, *x.shape[2:]))
+
+    return History(
+        belief=jax.tree.map(often, trees.belief),
+        existence_prob=often(exists),
+        log_gain=jnp.zeros((*exists.shape, size), exists.dtype),
+        seen=jnp.zeros((*exists.shape, size), bool),
+        interval=jnp.zeros(size, exists.dtype),
+        num=jnp.array(0),
+    )
+
+
+def remember(
+    history: History, before: Array, trees: Forest, parent: Array, interval: Array
+) -> History:
+    """Adds a scan.
+
+    Args:
+        history: Of N trees with L leaves.
+        before: Their scores before the scan, [N, L].
+        trees: The N trees after it, followed by K that it began.
+        parent: The old leaf of each leaf of the N trees, [N, L] (int).
+        interval: Seconds before the scan.
+
+    Returns:
+        The history of N + K trees.
+    """
+    num = len(parent)
+    new = len(trees.label) - num
+    tree = jnp.arange(num)[:, None]
+
+    def add(past: Array, now: Array) -> Array:
+        here = past[tree, parent]
+        first = jnp.broadcast_to(now[num:, :, None], (new, *here.shape[1:]))
+        both = jnp.concatenate([here, first.astype(here.dtype)])
+        last = now[:, :, None].astype(here.dtype)
+        return jnp.concatenate([both[:, :, 1:], last], 2)
+
+    score = trees.log_score
+    old = jnp.concatenate([before[tree, parent], jnp.zeros_like(score[num:])])
+    there = (score > -jnp.inf) & (old > -jnp.inf)
+    gain = jnp.where(there, score, 0.0) - jnp.where(there, old, 0.0)
+    return History(
+        belief=jax.tree.map(add, history.belief, trees.belief),
+        existence_prob=add(history.existence_prob, trees.existence_prob),
+        log_gain=add(history.log_gain, gain),
+        seen=add(history.seen, trees.past[:, :, -1] >= 0),
+        interval=jnp.append(history.interval[1:], interval),
+        num=history.num + 1,
+    )
+
+
+def keep(history: History, kept: Array) -> History:
+    """Returns the history of some trees, [N'] (int)."""
+    per_leaf = jax.tree.map(lambda x: x[kept], history[:4])
+    return History(*per_leaf, history.interval, history.num)
+
+
+def awaited(history: History, best: Array) -> Array:
+    """Tells which trees were detected in one of the last W scans, [N] (bool).
+
+    They stay, dead or alive, until that scan is reported.
+
+    Args:
+        history: Of N trees.
+        best: The leaf of the best hypothesis of each, -1 for none, [N].
+    """
+    seen = history.seen[jnp.arange(best.size), jnp.maximum(best, 0)]
+    return (best >= 0) & seen.any(1)
+
+
+def existed(existence_prob: Array, log_gain: Array, seen: Array) -> Array:
+    """Returns how likely a target was there after the first of W scans.
+
+    Args:
+        existence_prob: After each scan, by the scans until then, [W].
+        log_gain: What each added to the score, [W].
+        seen: In which it was detected, [W] (bool).
+    """
+    dead = (1 - existence_prob[0]) * jnp.exp(-log_gain[1:].sum())
+    return jnp.where(seen[1:].any(), 1.0, jnp.clip(1 - dead, 0.0, 1.0))
+
+
+def retrodict(
+    target: Target,
+    params: Any,
+    history: History,
+    trees: Forest,
+    leaf: tuple[Array, Array],
+    threshold: float,
+) -> Retrodiction:
+    """Reports the first scan of the history.
+
+    Args:
+        target: How one target is filtered.
+        params: The target's `Params`.
+        history: Of the last W scans.
+        trees: The N trees now.
+        leaf: That of the best hypothesis of each, -1 for none, and the one to show,
+            both [N] (int).
+        threshold: Existence probability above which a track is reported.
+    """
+    best, shown = leaf
+    tree, delay = jnp.arange(len(shown)), len(history.interval) - 1
+    belief, *rest = jax.tree.map(lambda x: x[tree, shown], history[:4])
+    assert target.smooth is not None, "check raises before"
+    smooth = target.smooth
+
+    def back(belief: PyTree) -> PyTree:
+        def step(later: PyTree, scan: tuple) -> tuple[PyTree, None]:
+            before, interval = scan
+            return smooth(params, before, later, interval), None
+
+        earlier = jax.tree.map(lambda x: x[:-1], belief)
+        last = jax.tree.map(lambda x: x[-1], belief)
+        scans = earlier, history.interval[1:]
+        return jax.lax.scan(step, last, scans, reverse=True)[0]
+
+    smoothed = jax.vmap(back)(belief)
+    moments = jax.vmap(target.moments)(smoothed)
+    begun = (trees.age > delay) & (history.num > delay)
+    prob = jnp.where(begun & (trees.label >= 0), jax.vmap(existed)(*rest), 0.0)
+    return Retrodiction(
+        mean=moments.mean,
+        cov=moments.cov,
+        mode_prob=jax.vmap(target.modes)(smoothed),
+        label=trees.label,
+        exists=(best >= 0) & (prob > threshold),
+        existence_prob=prob,
+    )
+
+
+def align(estimates: Any, delay: int) -> Any:
+    """Puts what is known of each scan `delay` scans later where the scan is.
+
+    Args:
+        estimates: Of T scans, with a `retrodicted`.
+        delay: As the tracker had it.
+
+    Returns:
+        The estimates, with its fields; the last `delay` scans are as first reported,
+        and what is about all targets together is left alone.
+    """
+    later: Retrodiction = estimates.retrodicted
+
+    def shift(known: Array, first: Array) -> Array:
+        return jnp.concatenate([known[delay:], first[len(known) - delay :]])
+
+    fields = {
+        name: shift(known, getattr(estimates, name))
+        for name, known in later._asdict().items()
+    }
+    return estimates._replace(**fields)
