@@ -23,10 +23,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linearize
-from jaxtrack.trackers import pmht_batch, rmm_window
+from jaxtrack.trackers import pmht_batch, recent
 from jaxtrack.trackers.bernoulli import Estimate
 from jaxtrack.trackers.pmht_batch import Params
-from jaxtrack.trackers.rmm_leaves import Window
+from jaxtrack.trackers.recent import Recent
 from jaxtrack.types import Array, Gaussian, Scan, Tracker
 
 
@@ -39,7 +39,7 @@ class State(NamedTuple):
     """
 
     begun: Gaussian
-    window: Window
+    window: Recent
 
 
 class Settings(NamedTuple):
@@ -89,7 +89,7 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     pmht_batch.check(params, settings.num_iterations)
     mean, cov = jnp.asarray(params.start.mean), jnp.asarray(params.start.cov)
     outputs = jnp.zeros(params.target.sensor.num_outputs, mean.dtype)
-    window = rmm_window.begin(settings.num_scans - 1, settings.max_detections, outputs)
+    window = recent.begin(settings.num_scans - 1, settings.max_detections, outputs)
     return State(Gaussian(mean, cov), window)
 
 
@@ -97,11 +97,11 @@ def _step(
     settings: Settings, params: Params, state: State, scan: Scan
 ) -> tuple[State, Estimate]:
     """Smooths over the window, and lets its first scan go."""
-    window, lost = rmm_window.push(state.window, scan)
+    window, lost = recent.push(state.window, scan)
     begun = params.start._replace(mean=state.begun.mean, cov=state.begun.cov)
     found = pmht_batch.smooth(
         params._replace(start=begun),
-        Scan(window.detections, window.valid, window.interval),
+        window.scans,
         settings.num_iterations,
         settings.method,
     )
@@ -121,4 +121,4 @@ def _step(
         dropped=lost.astype(prob.dtype),
     )
     first = jax.tree.map(lambda x: x[:, 0], found.filtered.filtered)
-    return State(first, jax.tree.map(lambda x: x[1:], window)), estimate
+    return State(first, recent.pop(window)), estimate

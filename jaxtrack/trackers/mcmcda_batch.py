@@ -10,8 +10,8 @@ whether a chain has been everywhere only other chains can tell. Several are one 
     walk = functools.partial(sample, target, params, problem)
     samples = jax.vmap(walk)(jax.random.split(key, 8))     # eight chains
 
-    >>> from jaxtrack.trackers import mcmcda
-    >>> mcmcda.Samples._fields[:3]
+    >>> from jaxtrack.trackers import mcmcda_batch
+    >>> mcmcda_batch.Samples._fields[:3]
     ('table', 'log_weight', 'existence_prob')
 
 Reference: Oh, Russell and Sastry, "Markov chain Monte Carlo data association for multi-
