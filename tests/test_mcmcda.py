@@ -18,6 +18,7 @@ from jaxtrack.trackers import (
     enumeration,
     mcmcda_batch,
     mcmcda_moves,
+    mcmcda_problem,
     mcmcda_scores,
     oracle,
     undetected,
@@ -37,7 +38,7 @@ def prepare(problem, places):
     scans = scenes.stacked(scenes.padded(places))
     params = scenes.params_of(problem)
     key = jax.random.key(0)
-    return params, mcmcda_scores.prepare(scenes.target, params, scans, key)
+    return params, mcmcda_problem.prepare(scenes.target, params, scans, key)
 
 
 @functools.cache
@@ -63,7 +64,7 @@ def test_scores_of_tracks_add_up_to_the_posterior():
         def one(row):
             return mcmcda_scores.score(scenes.target, params.target, prepared, row)
 
-        return jax.vmap(one)(jnp.asarray(listed.track)), prepared.log_constant
+        return jax.vmap(one)(jnp.asarray(listed.track)), prepared.log_constant.sum()
 
     tracks, log_constant = scored(*drawn())
     for k in range(NUM):
@@ -259,9 +260,9 @@ def test_a_crowd_is_explained_no_worse_than_by_who_is_who():
     @jax.jit
     @jax.vmap
     def run(scans, table, key):
-        problem = mcmcda_scores.prepare(target, params, scans, jax.random.key(0))
+        problem = mcmcda_problem.prepare(target, params, scans, jax.random.key(0))
         known = functools.partial(mcmcda_scores.score, target, params.target, problem)
-        exact = jax.vmap(known)(table).log_score.sum() + problem.log_constant
+        exact = jax.vmap(known)(table).log_score.sum() + problem.log_constant.sum()
         found = mcmcda_batch.sample(
             target, params, problem, key, max_tracks=12, num_samples=1500
         )
@@ -285,4 +286,4 @@ def test_what_makes_no_sense_is_refused():
         mcmcda_batch.sample(None, None, None, None, shares=(1.0,))
     params = scenes.params_of(scenes.draw(0))._replace(start=1)
     with pytest.raises(ValueError, match="start is given"):
-        mcmcda_scores.prepare(None, params, None, None)
+        mcmcda_problem.prepare(None, params, None, None)

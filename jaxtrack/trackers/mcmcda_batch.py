@@ -111,7 +111,7 @@ def sample(
     Args:
         target: How one target is filtered.
         params: Of the targets, births and clutter.
-        problem: From `mcmcda_scores.prepare`.
+        problem: From `mcmcda_problem.prepare`.
         key: Random key.
         max_tracks: N; hypotheses of more tracks are left out.
         num_samples: S.
@@ -124,7 +124,7 @@ def sample(
     Raises:
         ValueError: A setting that makes no sense.
     """
-    _check(max_tracks, num_samples, burn_in, thin, shares)
+    check(max_tracks, num_samples, burn_in, thin, shares)
     valid = problem.scans.valid
     if start is None:
         start = jnp.full((max_tracks, len(valid)), -1)
@@ -141,31 +141,34 @@ def sample(
     chain, seen = jax.lax.scan(draw, _begin(target, params, problem, start), keys)
     table, log_score, exists = jax.tree.map(lambda x: x[burn_in:], seen)
     free = jax.vmap(mcmcda_table.free, (0, None))(table, valid)
-    tracks = _score_all(target, params, problem, chain.best)
+    tracks = mcmcda_scores.score_all(target, params.target, problem, chain.best)
     same = (table[:, None] == chain.best[None, :, None]).all(3).any(2)
     there = (chain.best >= 0).any(1)
+    log_constant = problem.log_constant.sum()
+    hidden = jnp.exp(problem.hidden.log_weight[-1]).sum()
     return Samples(
         table=table,
-        log_weight=log_score + problem.log_constant,
+        log_weight=log_score + log_constant,
         existence_prob=exists,
         false_prob=free.mean(0, dtype=log_score.dtype),
-        num_prob=_numbers(exists, problem.hidden.expected, max_targets + 1),
+        num_prob=_numbers(exists, hidden, max_targets + 1),
         best=Best(
             table=chain.best,
-            log_weight=chain.best_score + problem.log_constant,
+            log_weight=chain.best_score + log_constant,
             tracks=tracks,
             prob=jnp.where(there, same.mean(0, dtype=log_score.dtype), 0.0),
         ),
         tried=chain.tried,
         accepted=chain.accepted / jnp.maximum(chain.tried, 1),
         full=(table >= 0).any(2).all(1).mean(dtype=log_score.dtype),
-        dropped=problem.dropped,
+        dropped=problem.dropped.sum(),
     )
 
 
-def _check(
+def check(
     max_tracks: int, num_samples: int, burn_in: int, thin: int, shares: tuple
 ) -> None:
+    """Raises a ValueError where settings make no sense."""
     sizes = {"max_tracks": max_tracks, "num_samples": num_samples, "thin": thin}
     for name, size in sizes.items():
         if size < 1:
@@ -187,7 +190,7 @@ def _log_shares(shares: tuple[float, ...]) -> Array:
 
 
 def _begin(target: Target, params: Params, problem: Problem, start: Array) -> _Chain:
-    scored = _score_all(target, params, problem, start)
+    scored = mcmcda_scores.score_all(target, params.target, problem, start)
     none = jnp.zeros(len(mcmcda_moves.KINDS), int)
     score = scored.log_score
     return _Chain(
@@ -199,13 +202,6 @@ def _begin(target: Target, params: Params, problem: Problem, start: Array) -> _C
         tried=none,
         accepted=none,
     )
-
-
-def _score_all(
-    target: Target, params: Params, problem: Problem, table: Array
-) -> Scored:
-    each = jax.vmap(mcmcda_scores.score, (None, None, None, 0))
-    return each(target, params.target, problem, table)
 
 
 def _step(
@@ -222,12 +218,15 @@ def _step(
     move = mcmcda_moves.propose(
         keys[1], kind, chain.table, problem.scans.valid, problem.links
     )
-    changed = _score_all(target, params, problem, move.table[move.changed])
+    changed = mcmcda_scores.score_all(
+        target, params.target, problem, move.table[move.changed]
+    )
     score = chain.log_score.at[move.changed].set(changed.log_score)
     gain = score.sum() - chain.log_score.sum()
     log_ratio = gain + move.log_backward - move.log_forward
     luck = jnp.log(jax.random.uniform(keys[2], dtype=log_ratio.dtype))
-    taken = move.possible & (luck < log_ratio)
+    possible = move.possible & ~_forbidden(move.table, problem)
+    taken = possible & (luck < log_ratio)
     exists = chain.existence_prob.at[move.changed].set(changed.existence_prob)
 
     def pick(new: Array, old: Array) -> Array:
@@ -241,9 +240,14 @@ def _step(
         existence_prob=pick(exists, chain.existence_prob),
         best=jnp.where(better, table, chain.best),
         best_score=jnp.maximum(score.sum(), chain.best_score),
-        tried=chain.tried.at[kind].add(move.possible),
+        tried=chain.tried.at[kind].add(possible),
         accepted=chain.accepted.at[kind].add(taken),
     )
+
+
+def _forbidden(table: Array, problem: Problem) -> Array:
+    """Says whether a hypothesis calls something false that is not."""
+    return (mcmcda_table.free(table, problem.scans.valid) & problem.sure).any()
 
 
 def _numbers(existence_prob: Array, hidden: Array, size: int) -> Array:
