@@ -1,8 +1,7 @@
 """Gradients of the evidence in every number of every model, inside a tracker.
 
-Central differences are held against forward mode, which is cheap to compile, and in
-the slow tests against reverse mode, which alone meets zero times infinity where a
-branch is not taken. The trackers' own contract has reverse mode in the fast tests.
+Central differences are held against reverse mode, which alone meets zero times infinity
+where a branch is not taken.
 """
 
 import functools
@@ -33,43 +32,24 @@ def evidence(name, params):
 
 @functools.cache
 def compared(name):
-    """Slopes per scale of each entry, by forward mode and by differences; the scales.
+    """Slopes per scale of each entry, by reverse mode and by differences.
 
-    One program tells both: of each row, the evidence and its slope in one direction.
+    One program tells both: of each row, the evidence and its slopes.
     """
     params = case_of(name).params
     moved, scale = slopes.walks(params, floor=0.1, step=STEP)
-    size = len(scale)
-    still = np.tile(slopes.flat(params), (size, 1))
-    directions = slopes.rows_of(
-        params, np.concatenate([np.diag(scale), np.zeros((2 * size, size))])
-    )
-    start = slopes.rows_of(params, still)
-    start = jax.tree.map(lambda x, y: np.concatenate([x, y]), start, moved)
-
-    @jax.jit
-    @jax.vmap
-    def along(params, direction):
-        return jax.jvp(functools.partial(evidence, name), (params,), (direction,))
-
-    value, slope = jax.tree.map(np.array, along(start, directions))
-    return slope[:size], slopes.differences(value[size:], STEP), scale
+    start = jax.tree.map(lambda x, y: np.concatenate([[x], y]), params, moved)
+    both = jax.jit(jax.vmap(jax.value_and_grad(functools.partial(evidence, name))))
+    value, slope = jax.tree.map(np.array, both(start))
+    first = slopes.flat(jax.tree.map(lambda x: x[0], slope))
+    return first * scale, slopes.differences(value[1:], STEP)
 
 
 @every_case
-def test_forward_gradients_are_right(name):
-    expected, found, _ = compared(name)
+def test_gradients_are_right(name):
+    expected, found = compared(name)
     params = case_of(name).params
     slopes.assert_near(params, expected, found, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.slow
-@every_case
-def test_reverse_gradients_are_right(name):
-    _, found, scale = compared(name)
-    params = case_of(name).params
-    slope = jax.jit(jax.grad(functools.partial(evidence, name)))(params)
-    slopes.assert_right(params, slope, found, scale, rtol=1e-4, atol=1e-6)
 
 
 def test_every_number_of_every_model_bears_on_the_evidence():
