@@ -10,6 +10,11 @@ from jaxtrack.targets import mixture, single
 from jaxtrack.trackers import cphd, extraction, intensity, phd, reduction
 from jaxtrack.types import Gaussian, Scan
 
+above, tell_apart = jax.jit(extraction.above), jax.jit(extraction.tell_apart)
+heaviest = jax.jit(extraction.heaviest)
+
+HIT = Scan(jnp.zeros((1, 1)), jnp.ones(1, bool), jnp.ones(()))
+
 
 def components(*weights, label=None):
     with np.errstate(divide="ignore"):
@@ -22,7 +27,7 @@ def components(*weights, label=None):
 
 def test_a_component_is_reported_as_often_as_it_stands_for_targets():
     some = components(0.3, 1.6, 0.95, 0.0, 0.7)
-    picked = extraction.above(some, 0.5)
+    picked = above(some, 0.5)
     told = [(int(s), int(c)) for s, c in zip(picked.slot, picked.copy, strict=True)]
     reported = [x for x, e in zip(told, picked.exists, strict=True) if e]
     assert sorted(reported) == [(1, 0), (1, 1), (2, 0), (4, 0)]
@@ -31,33 +36,33 @@ def test_a_component_is_reported_as_often_as_it_stands_for_targets():
 
 def test_a_threshold_is_on_the_component_and_the_heaviest_go_first():
     some = components(1.0, 1.6, 0.95, 0.2)
-    reported = extraction.above(some, 0.9)
+    reported = above(some, 0.9)
     assert {int(x) for x in reported.slot[reported.exists]} == {0, 1, 2}
-    first = extraction.heaviest(components(0.9, 1.6), 1)
+    first = heaviest(components(0.9, 1.6), 1)
     assert first.slot[first.exists].tolist() == [1]
-    assert extraction.heaviest(some, 0).exists.sum() == 0
+    assert heaviest(some, 0).exists.sum() == 0
 
 
 def test_a_further_target_of_one_component_takes_no_other_ones_slot():
     """Three slots: two that are reported, one that is not, and a second of the 1.6."""
-    picked = extraction.above(components(1.6, 0.3, 0.6), 0.5)
+    picked = above(components(1.6, 0.3, 0.6), 0.5)
     assert picked.slot.tolist() == [0, 2, 0]
     assert picked.exists.all()
-    full = extraction.above(components(1.6, 1.0, 0.6), 0.5)
+    full = above(components(1.6, 1.0, 0.6), 0.5)
     assert sorted(full.slot[full.exists].tolist()) == [0, 1, 2]
-    strict = extraction.above(components(1.6, 0.85, 0.8), 0.9)
+    strict = above(components(1.6, 0.85, 0.8), 0.9)
     assert strict.slot[strict.exists].tolist() == [0, 0]
 
 
 def test_more_than_three_targets_in_one_place_are_reported_as_three():
-    picked = extraction.above(components(7.0, 0.0, 0.0, 0.0), 0.5)
+    picked = above(components(7.0, 0.0, 0.0, 0.0), 0.5)
     assert picked.exists.sum() == extraction.COPIES == 3
 
 
 def test_labels_are_told_apart_for_good_but_for_copies():
     some = components(0.6, 0.9, 1.7, 0.8, 0.0, label=[4, 4, 6, 8, 9])
-    picked = extraction.above(some, 0.5)
-    renamed, shown, following = extraction.tell_apart(some, picked, jnp.array(20))
+    picked = above(some, 0.5)
+    renamed, shown, following = tell_apart(some, picked, jnp.array(20))
     reported = shown[picked.exists].tolist()
     assert len(set(reported)) == len(reported)
     assert renamed.label[1] == 4  # the heavier one is the heir
@@ -71,63 +76,62 @@ def test_labels_are_told_apart_for_good_but_for_copies():
     ("threshold", "count"), [(None, 1), (0.5, 2), (0.35, 2), (0.25, 3), (0.0, 3)]
 )
 def test_how_many_are_reported_by_the_distribution_of_their_number(threshold, count):
-    log_number = jnp.log(jnp.array([0.1, 0.35, 0.25, 0.3]))
+    log_number = np.log(np.array([0.1, 0.35, 0.25, 0.3]))
     assert cphd.count_reported(log_number, threshold) == count
 
 
 def test_parents_without_room_are_counted_and_the_heaviest_gives_its_name():
     target, params = single.single(), single_params()
-    belief = Gaussian(jnp.array([[0.0, 0.0], [1.0, 0.0]]), jnp.stack([jnp.eye(2)] * 2))
-    views = jax.vmap(target.look, (None, 0))(params, belief)
+    belief = Gaussian(np.array([[0.0, 0.0], [1.0, 0.0]]), np.stack([np.eye(2)] * 2))
     size = reduction.make(4, max_parents=1, partition="detections")
-    scan = Scan(jnp.zeros((1, 1)), jnp.ones(1, bool), jnp.ones(()))
-    some, unmade = reduction.by_detection(
-        size,
-        target,
-        params,
-        jnp.array([3, 5]),
-        views,
-        jnp.log(jnp.array([[0.2], [0.6]])),
-        scan,
-    )
+    log_hit, label = jnp.log(jnp.array([[0.2], [0.6]])), jnp.array([3, 5])
+
+    @jax.jit
+    def reduced(params, belief):
+        views = jax.vmap(target.look, (None, 0))(params, belief)
+        return reduction.by_detection(size, target, params, label, views, log_hit, HIT)
+
+    some, unmade = reduced(params, belief)
     np.testing.assert_allclose(unmade, 0.2, rtol=1e-9)
-    np.testing.assert_allclose(jnp.exp(some.log_weight), [0.8], rtol=1e-9)
+    np.testing.assert_allclose(np.exp(some.log_weight), [0.8], rtol=1e-9)
     assert some.label.tolist() == [5]
+
+
+def reduced(size, target):
+    """What is kept of an update by one detection, what dropped, and what is lost."""
+
+    @jax.jit
+    def compiled(params, belief, log_missed, log_hit):
+        views = jax.vmap(target.look, (None, 0))(params, belief)
+        weights = log_missed, log_hit, jnp.ones(1), jnp.zeros(())
+        update = intensity.Update(belief, views, *weights)
+        label = jnp.arange(len(log_missed))
+        kept, dropped = reduction.reduce(size, target, params, label, update, HIT)
+        return kept, dropped, target.lost(jax.tree.map(lambda x: x[0], kept.belief))
+
+    return compiled
 
 
 @pytest.mark.parametrize("partition", ["pairs", "detections"])
 def test_what_is_pruned_is_counted(partition):
     """Twenty components of less than the threshold: nobody is left, and all is said."""
-    target, params, num = single.single(), single_params(), 20
-    belief = Gaussian(jnp.zeros((num, 2)), jnp.stack([jnp.eye(2)] * num))
-    views = jax.vmap(target.look, (None, 0))(params, belief)
-    low = jnp.full(num, jnp.log(0.09))
-    update = intensity.Update(
-        belief, views, low, jnp.full((num, 1), -jnp.inf), jnp.ones(1), jnp.zeros(())
-    )
+    target, num = single.single(), 20
+    belief = Gaussian(np.zeros((num, 2)), np.stack([np.eye(2)] * num))
     size = reduction.make(4, prune_threshold=0.1, partition=partition)
-    scan = Scan(jnp.zeros((1, 1)), jnp.ones(1, bool), jnp.ones(()))
-    kept, dropped = reduction.reduce(
-        size, target, params, jnp.arange(num), update, scan
-    )
+    low, no_hit = np.full(num, np.log(0.09)), np.full((num, 1), -np.inf)
+    kept, dropped, _ = reduced(size, target)(single_params(), belief, low, no_hit)
     assert kept.expected == 0
     np.testing.assert_allclose(dropped, 1.8, rtol=1e-9)
 
 
 def test_what_beliefs_lose_is_counted_once():
     target, params = mixture.mixture(1, merge_threshold=0.0), two_mode_params()
-    begin = jax.vmap(target.begin, (None, 0, None, None))
-    prior = Gaussian(jnp.array([[-9.0, 0.0], [9.0, 0.0]]), jnp.stack([jnp.eye(2)] * 2))
-    belief = begin(params, prior, jnp.array([0.5, 0.5]), jax.random.key(0))
-    views = jax.vmap(target.look, (None, 0))(params, belief)
-    gone = jnp.full(2, -jnp.inf)
-    update = intensity.Update(
-        belief, views, gone, jnp.log(jnp.full((2, 1), 0.5)), jnp.ones(1), jnp.zeros(())
-    )
+    prior = Gaussian(np.array([[-9.0, 0.0], [9.0, 0.0]]), np.stack([np.eye(2)] * 2))
+    begin = jax.jit(jax.vmap(target.begin, (None, 0, None, None)))
+    belief = begin(params, prior, np.array([0.5, 0.5]), jax.random.key(0))
     size = reduction.make(4, partition="detections")
-    scan = Scan(jnp.zeros((1, 1)), jnp.ones(1, bool), jnp.ones(()))
-    kept, dropped = reduction.reduce(size, target, params, jnp.arange(2), update, scan)
-    lost = target.lost(jax.tree.map(lambda x: x[0], kept.belief))
+    gone, log_hit = np.full(2, -np.inf), np.log(np.full((2, 1), 0.5))
+    kept, dropped, lost = reduced(size, target)(params, belief, gone, log_hit)
     np.testing.assert_allclose(kept.expected, 1, rtol=1e-9)
     np.testing.assert_allclose(lost, 0.5, rtol=1e-6)
     np.testing.assert_allclose(dropped, lost, rtol=1e-9)
