@@ -3,6 +3,8 @@
 Probabilities are between 0 and 1, and so are slopes, so bounds on them are absolute.
 """
 
+import functools
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -25,9 +27,13 @@ def draw(shape, count=40):
     return log_score
 
 
+@functools.cache
+def solver(**settings):
+    return jax.jit(jax.vmap(lambda one: marginals.marginals(one, **settings)))
+
+
 def solve(log_score, **settings):
-    solver = jax.vmap(lambda one: marginals.marginals(one, **settings))
-    return jax.tree.map(np.asarray, jax.jit(solver)(jnp.asarray(log_score)))
+    return jax.tree.map(np.asarray, solver(**settings)(log_score))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -151,46 +157,61 @@ def test_messages_survive_scores_that_outweigh_all_others():
 def test_derivatives_of_all_orders_are_those_of_finite_differences(method):
     log_score = reference.scores(np.random.default_rng(3), 3, 4, 1.0)
     log_score[:2, 2:4] = log_score[2, :2] = -INF  # clusters of two and of one
-    somewhere = np.argwhere(log_score > -INF)
     size = 2 if method == "exact" else 1
 
     def solved(score):
         found = marginals.marginals(score, method, max_cluster=size, max_iterations=99)
-        return found.log_norm, (found.prob**2).sum(1)
+        told = found.log_norm, (found.prob**2).sum(1)
+        return told, (told, found.prob)
 
-    first = jax.jit(jax.jacrev(solved))(log_score)
-    second = jax.jit(jax.jacfwd(jax.jacrev(solved)))(log_score)
-    chex.assert_tree_all_finite((first, second))
-    value, slope = jax.jit(solved), jax.jit(jax.jacrev(solved))
-    step = 1e-5
-    for n, k in somewhere:
-        move = np.zeros_like(log_score)
-        move[n, k] = step
-        for function, exact_slope in (value, first), (slope, second):
-            ahead, behind = function(log_score + move), function(log_score - move)
-            for x, y, own in zip(ahead, behind, exact_slope, strict=True):
-                # Differences of numbers of order one, over a step of 1e-5.
-                np.testing.assert_allclose(own[..., n, k], (x - y) / 2e-5, atol=1e-6)
-    outside = log_score == -INF
-    assert all((np.asarray(x)[..., outside] == 0).all() for x in first)
-    prob = marginals.marginals(jnp.asarray(log_score), method, size).prob
+    @jax.jit
+    @jax.vmap
+    def along(score, direction):
+        """Values and slopes at a place, and how they change in a direction."""
+        slopes = jax.jacrev(solved, has_aux=True)
+        return jax.jvp(slopes, (score,), (direction,))
+
+    # All entries at the place itself, ahead and back, in one program.
+    every = np.eye(log_score.size).reshape(-1, *log_score.shape)
+    places = log_score + 1e-5 * np.array([0, 1, -1])[:, None, None, None] * every[None]
+    places = places.reshape(-1, *log_score.shape)
+    found = jax.tree.map(np.asarray, along(places, np.tile(every, (3, 1, 1))))
+    (slope, (value, prob)), (bend, (rise, _)) = found
+    chex.assert_tree_all_finite((slope, bend))
+    num, there = log_score.size, (log_score > -INF).ravel()
+    for x, own in zip((*value, *slope), (*rise, *bend), strict=True):
+        ahead, behind = x[num : 2 * num], x[2 * num :]
+        # Differences of numbers of order one, over a step of 1e-5.
+        np.testing.assert_allclose(
+            own[:num][there], ((ahead - behind) / 2e-5)[there], atol=1e-6
+        )
+    for x, own in zip(slope, rise, strict=True):  # either mode tells the same
+        reverse = np.moveaxis(x[0].reshape(*own.shape[1:], num), -1, 0)
+        np.testing.assert_allclose(own[:num], reverse, atol=1e-10)
+        assert (reverse[~there] == 0).all()
     # Messages settle to 1e-12.
-    np.testing.assert_allclose(first[0], prob, atol=1e-10)
+    np.testing.assert_allclose(slope[0][0], prob[0], atol=1e-10)
 
 
 def test_what_is_infeasible_gives_zeros_and_finite_gradients():
     log_score = np.array([[1.0, -INF, -INF], [2.0, -INF, -INF], [0.0, 1.0, 0.0]])
-    for method in marginals.METHODS:
-        found = solve(log_score[None], method=method)
-        assert not found.feasible[0]
+
+    def loss(score, method, size):
+        found = marginals.marginals(score, method, max_cluster=size)
+        total = (found.prob**2).sum()
+        return total + jnp.where(found.feasible, found.log_norm, 0.0), found
+
+    @jax.jit
+    def every(score):
+        slope = jax.grad(loss, has_aux=True)
+        choices = ("auto", 2), ("exact", 3), ("belief", 2)
+        return [slope(score, *choice) for choice in choices]
+
+    for slope, found in every(log_score):
+        chex.assert_tree_all_finite(slope)
+        assert not found.feasible
         assert (found.prob == 0).all()
-        assert found.log_norm[0] == -INF
-
-    def loss(score):
-        found = marginals.marginals(score, "auto", max_cluster=2)
-        return (found.prob**2).sum() + jnp.where(found.feasible, found.log_norm, 0.0)
-
-    chex.assert_tree_all_finite(jax.jit(jax.grad(loss))(log_score))
+        assert found.log_norm == -INF
 
 
 def test_float32_is_near_float64():

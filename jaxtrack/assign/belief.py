@@ -105,8 +105,9 @@ def _stationary(log_norm: Array, prob: Array, log_score: Array) -> Array:
 
 @_stationary.defjvp
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    log_norm, prob, _ = primals
-    return log_norm, jnp.where(prob > 0, prob * tangents[2], 0.0).sum()
+    prob = primals[1]
+    # Not the bare number, so that a value met again in forward mode has its slope.
+    return _stationary(*primals), jnp.where(prob > 0, prob * tangents[2], 0.0).sum()
 
 
 def _others(values: Array) -> Array:
