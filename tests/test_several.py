@@ -122,6 +122,25 @@ def test_product_form_knows_no_order(name):
     np.testing.assert_allclose(in_order(both[0]), in_order(both[1]), atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["phd", "cphd"])
+def test_a_newborn_in_sight_of_one_sensor_is_one_more_target(name):
+    """Far from it stands a sure target; what both sensors say of that is no news."""
+    rng = np.random.default_rng(0)
+    one = cases.scene(rng)._replace(
+        r=np.array([0.999, 0.1]),
+        mean=np.array([-8.0, 8.0]),
+        variance=np.array([0.3, 0.3]),
+        detect=(0.98, 0.98),
+        rate=(0.3, 0.3),
+        z=(np.array([-8.1, 8.2]), np.array([-7.7, 7.8])),
+    )
+    found = cases.answers(name, "product", [one])
+    log_evidence, number = cases.exactly(name, [one])
+    # Measured: 3e-5 and 2e-3. In one group it is 7e-3 and more, and 3e-2 and more.
+    np.testing.assert_allclose(found.num_mean, number, rtol=1e-4)
+    np.testing.assert_allclose(found.log_evidence, log_evidence, atol=3e-3)
+
+
 @every_form
 def test_evidence_has_right_gradients(name, form):
     one = scenes_of(1, seed=5)
