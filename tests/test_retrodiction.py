@@ -151,6 +151,19 @@ def test_a_target_that_died_is_reported_until_it_was_last_detected():
     later = retrodiction.align(found, DELAY)
     assert (later.exists.sum(1) == seen).all()
     assert len(np.unique(later.label[later.exists])) == 1
+    short = jax.tree.map(lambda x: x[: DELAY - 1], found)
+    np.testing.assert_array_equal(retrodiction.align(short, DELAY).mean, short.mean)
+    with pytest.raises(ValueError, match="retrodicted is None; make the tracker with"):
+        retrodiction.align(found._replace(retrodicted=None), DELAY)
+
+
+def test_a_target_that_cannot_be_missed_nor_die_existed_though_it_was_missed():
+    sure, impossible = jnp.ones(5, jnp.float32), jnp.full(5, -200, jnp.float32)
+    slope = jax.jit(jax.value_and_grad(retrodiction.existed, (0, 1)))
+    for seen in (np.zeros(5, bool), np.arange(5) == 4):
+        prob, slopes = slope(sure, impossible, seen)
+        assert prob == 1
+        assert all(np.isfinite(x).all() for x in slopes)
 
 
 def two_modes():

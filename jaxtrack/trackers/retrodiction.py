@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.linalg import safe_log
 from jaxtrack.trackers.forest import Forest
 from jaxtrack.types import Array, PyTree, Target
 
@@ -171,8 +172,11 @@ def existed(existence_prob: Array, log_gain: Array, seen: Array) -> Array:
         log_gain: What each added to the score, [W].
         seen: In which it was detected, [W] (bool).
     """
-    dead = (1 - existence_prob[0]) * jnp.exp(-log_gain[1:].sum())
-    return jnp.where(seen[1:].any(), 1.0, jnp.clip(1 - dead, 0.0, 1.0))
+    again = seen[1:].any()
+    log_gain = jnp.where(again, 0.0, log_gain[1:])
+    # A miss that cannot be has a gain whose exponential is beyond float32.
+    log_dead = safe_log(1 - existence_prob[0]) - log_gain.sum()
+    return jnp.where(again, 1.0, 1 - jnp.exp(jnp.minimum(log_dead, 0.0)))
 
 
 def retrodict(
@@ -234,11 +238,16 @@ def align(estimates: Any, delay: int) -> Any:
     Returns:
         The estimates, with its fields; the last `delay` scans are as first reported,
         and what is about all targets together is left alone.
+
+    Raises:
+        ValueError: The estimates have no delayed output.
     """
-    later: Retrodiction = estimates.retrodicted
+    later: Retrodiction | None = estimates.retrodicted
+    if later is None:
+        raise ValueError("retrodicted is None; make the tracker with a delay")
 
     def shift(known: Array, first: Array) -> Array:
-        return jnp.concatenate([known[delay:], first[len(known) - delay :]])
+        return jnp.concatenate([known[delay:], first[max(len(known) - delay, 0) :]])
 
     fields = {
         name: shift(known, getattr(estimates, name))
