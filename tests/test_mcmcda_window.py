@@ -75,8 +75,8 @@ def test_tracks_go_on_under_their_labels_when_the_window_has_passed():
     sizes = {**ROOM, "max_detections": 3, "exist_threshold": 1e-3}
     tracker = mcmcda.mcmcda(scenes.target, num_scans=1, num_samples=200, **sizes)
     numbers = jax.tree.map(jnp.asarray, problem)
-    estimates = jax.jit(lambda x: track(tracker, numbers, x, start))(places)
-    third_label = -1
+    run = jax.jit(lambda x: track(tracker, numbers, x, start))
+    estimates, third_label = run(places), -1
     shown, label = np.asarray(estimates.exists), np.asarray(estimates.label)
     for t in range(len(places)):
         named = dict(
@@ -93,6 +93,11 @@ def test_tracks_go_on_under_their_labels_when_the_window_has_passed():
     # The third one may be clutter at first.
     assert (estimates.existence_prob[shown] > 0.7).all()
     assert np.isfinite(estimates.log_evidence).all()
+    # One that is missed until hardly anything is left of it, and then seen again.
+    far = [np.array([x, 6.0, -x]) for x in (15.0, 16.0, 17.0)]
+    found = run([*places[:2], *far, *places[5:]])
+    here = np.asarray(found.exists & (abs(found.mean[:, :, 0] + 8) < 0.5))
+    assert np.asarray(found.label)[5:][here[5:]].tolist() == [1, 1]
 
 
 @pytest.mark.slow

@@ -10,7 +10,9 @@ that is told is an average over the chain's samples, and as uncertain as that.
     >>> tracker = mcmcda.mcmcda(targets.single.single(), num_scans=2)
 
 `log_evidence` is the log-density of the scan given what was decided, summed over the
-hypotheses that the chain found.
+hypotheses that the chain found. `dropped` is the sum of the detections that found no
+room, the targets expected in what was given up, known or never detected, and the share
+of samples that had no row left in which a track could begin.
 
 Reference: Oh, Russell and Sastry, "Markov chain Monte Carlo data association for multi-
 target tracking", IEEE Trans. Automatic Control 54(3), 2009, section VI (online).
@@ -107,7 +109,8 @@ def mcmcda(
         max_tracks: N, tracks in a hypothesis.
         max_detections: Room for those of a scan, K.
         max_undetected: Components kept of the intensity of undetected targets.
-        exist_threshold: A known track goes where its target exists with less.
+        exist_threshold: A known track goes where its target exists with less and the
+            window has no detection of it.
         report_threshold: A track of the best hypothesis is reported where its target
             exists with more probability.
         shares: How often to try which pair of moves, as `mcmcda_batch.SHARES`.
@@ -248,7 +251,9 @@ def _decide(
     first, decided = mcmcda_scores.head(problem, 2), best[:, :2]
     tracks = mcmcda_scores.score_all(settings.target, params.target, first, decided)
     prob = tracks.existence_prob
-    stays = prob > settings.exist_threshold
+    # Who is seen again later in the window is there, whatever was likely until now.
+    again = (decided >= 0).any(1) & (best[:, 2:] >= 0).any(1)
+    stays = again | (prob > settings.exist_threshold)
     known = Tracks(
         existence_prob=jnp.where(stays, prob, 0.0),
         belief=tracks.belief,
