@@ -287,6 +287,13 @@ def test_a_short_window_forgets_and_too_many_detections_are_counted():
     assert (gap > 1e-6).all()
 
 
+def test_scans_may_have_no_slots():
+    empty = Scan(np.zeros((SCANS, 0, 1)), np.zeros((SCANS, 0), bool), np.ones(SCANS))
+    shape = jax.eval_shape(lambda: pmht_batch.smooth(params_of(draw(0)[0]), empty, 1))
+    assert shape.belief.mean.shape == (TARGETS, SCANS, 2)
+    assert shape.prob.shape == (SCANS, 1, TARGETS + 1)
+
+
 def test_what_makes_no_sense_is_refused():
     with pytest.raises(ValueError, match="num_scans is 0; give at least 1"):
         pmht.pmht(num_scans=0)

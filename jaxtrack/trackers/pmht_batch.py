@@ -35,7 +35,7 @@ from jaxtrack.entries import dense
 from jaxtrack.models.birth import MultiBernoulliBirth
 from jaxtrack.models.sensor import Timed
 from jaxtrack.targets import single
-from jaxtrack.trackers import pmht_claims
+from jaxtrack.trackers import association, pmht_claims
 from jaxtrack.trackers.pmht_claims import Claims, Spread
 from jaxtrack.types import Affine, Array, Gaussian, Scan
 
@@ -94,7 +94,7 @@ def smooth(
 
     Args:
         params: Of the targets and clutter.
-        scans: T scans of K slots.
+        scans: T scans of K slots; for none there is one that is empty.
         num_iterations: I.
         method: Of `linearize`; idle where models are linear.
         learns_rates: Expect of each target as many detections as it has got, on
@@ -104,8 +104,7 @@ def smooth(
         ValueError: A setting that makes no sense, or a sensor that cannot be used.
     """
     check(params, num_iterations)
-    detections = jnp.where(scans.valid[:, :, None], scans.detections, 0.0)
-    scans = scans._replace(detections=detections)
+    scans = jax.vmap(association.filled)(scans)
     first, log_density = _guess(method, params, scans)
     motions = _motions(method, params, first.filtered, scans)
     path = jax.vmap(kalman.smooth)(first, motions)
