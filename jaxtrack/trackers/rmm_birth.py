@@ -31,7 +31,7 @@ class Starts(NamedTuple):
     Attributes:
         max_new: Tracks begun in a scan, J.
         max_contested: As in `rmm_association.share`.
-        unassigned_prob: A detection may begin a track if no track has it with more
+        unassigned_prob: A detection may begin a track if it is no track's with more
             probability than this (P_th^unas).
         init_prob: And if the shares of its leaves add up to more than this (P_th^init).
         worth: A track is begun where its target exists with more probability.

@@ -134,7 +134,8 @@ def rmm_mht(
         max_misses: A track goes that was missed in so many scans in a row.
         gate_prob: P_G; 1 for no gate.
         missed_prob: A track was missed where that is likelier than this.
-        unassigned_prob: A detection is free that no track has with more probability.
+        unassigned_prob: A detection is free that is no track's with more probability
+            than this.
         init_prob: A track begins if the programme gives it more than this share.
         worth: And if its target exists with more probability by the whole window.
         exist_threshold: A track goes where its target exists with less probability.
