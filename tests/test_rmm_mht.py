@@ -196,7 +196,7 @@ def test_gradients_equal_differences_where_the_programme_is_integral():
     assert run(given, scans).integral.all()
 
     @jax.jit
-    def log_evidence(noise, detect, rate, density):
+    def log_evidence(noise, detect, rate, density, exists):
         motions = tuple(motion.ConstantVelocity(density * np.ones(2)) for _ in "ab")
         target = given.target._replace(
             motions=motions,
@@ -204,14 +204,17 @@ def test_gradients_equal_differences_where_the_programme_is_integral():
             detect=probability.Constant(detect),
         )
         false = given.clutter._replace(rate=rate)
-        found = run(given._replace(target=target, clutter=false), scans)
-        return found.log_evidence.sum()
+        known = start._replace(existence_prob=exists * np.ones(2))
+        changed = given._replace(target=target, clutter=false, start=known)
+        return run(changed, scans).log_evidence.sum()
 
-    at = np.array([1.1, 0.9, 2.0, 0.4])
-    slope = np.array(jax.jit(jax.grad(log_evidence, (0, 1, 2, 3)))(*at))
+    slopes = jax.jit(jax.grad(log_evidence, (0, 1, 2, 3, 4)))
+    at = np.array([1.1, 0.9, 2.0, 0.4, 0.9])
+    slope = np.array(slopes(*at))
     for k, size in enumerate(1e-5 * at):
-        ahead, behind = (log_evidence(*(at + s * size * np.eye(4)[k])) for s in (1, -1))
+        ahead, behind = (log_evidence(*(at + s * size * np.eye(5)[k])) for s in (1, -1))
         np.testing.assert_allclose(slope[k], (ahead - behind) / (2 * size), rtol=1e-6)
+    assert np.isfinite(slopes(*at[:4], 1.0)).all()  # nothing but detections is open
 
 
 def test_room_that_runs_out_is_told():

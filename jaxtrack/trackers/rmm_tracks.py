@@ -119,8 +119,10 @@ def associate(
     there, prob = tracks.label >= 0, tracks.existence_prob
     log_survive = _survival(params, tracks, window)  # [N, S]
     log_absent = _log_rest(prob, log_survive[:, 0])[:, None]
-    score = jnp.logaddexp(safe_log(prob)[:, None] + leaves.log_score, log_absent)
-    score = jnp.where(there[:, None] & (leaves.log_score > -jnp.inf), score, -jnp.inf)
+    possible = there[:, None] & (leaves.log_score > -jnp.inf)
+    ratio = jnp.where(possible, leaves.log_score, 0.0)
+    score = jnp.logaddexp(safe_log(prob)[:, None] + ratio, log_absent)
+    score = jnp.where(possible, score, -jnp.inf)
     past, num = leaves.past, window.valid.shape[1]
     found = rmm_association.share(score, past, num, max_contested)
     hits = rmm_association.hits(found.leaf, past, num)
