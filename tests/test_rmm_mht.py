@@ -232,6 +232,7 @@ def test_room_that_runs_out_is_told():
     [
         ("num_scans", 0, "num_scans is 0; give at least 1"),
         ("max_misses", 0, "max_misses is 0; give at least 1"),
+        ("max_leaves", 1, "max_leaves is 1; give at least 2"),
         ("worth", 1.0, "worth is 1.0; give a probability between 0 and 1"),
         ("missed_prob", 2.0, "missed_prob is 2.0; give a probability"),
         ("gate_prob", 0.0, "gate_prob is 0.0"),

@@ -126,7 +126,7 @@ def rmm_mht(
             what is random then acts on the state as it was expected before any
             detection. Else it begins again from what is believed in every scan.
         max_tracks: Tracks kept, N.
-        max_leaves: Sequences of detections of each, the likeliest, L.
+        max_leaves: Sequences of detections of each, the likeliest, L; 2 at least.
         max_detections: Room for those of a scan, K.
         max_contested: Detections of a scan that several tracks may share.
         max_new: Tracks begun in a scan.
@@ -183,8 +183,10 @@ def _check(
 ) -> None:
     """Raises a ValueError for a setting that makes no sense."""
     for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
+        # One leaf is that of no detection at all.
+        least = 2 if name == "max_leaves" else 1
+        if size < least:
+            raise ValueError(f"{name} is {size}; give at least {least}")
     for name, share in shares.items():
         thinning.check_share(name, share)
     if not 0 < worth < 1:
