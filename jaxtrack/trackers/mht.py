@@ -182,9 +182,8 @@ def _step(
     """Predicts, scores, grows the trees, finds the hypotheses, decides and prunes."""
     target, scan = settings.target, association.filled(scan)
     key, seed = jax.random.split(state.key)
-    met = meeting.meet(
-        settings.gating, target, params, state.trees, state.undetected, scan, seed
-    )
+    before = state.trees, state.undetected
+    met = meeting.meet(settings.gating, target, params, *before, scan, seed)
     trees, parent, lost_leaves = _grow(settings, params, met, state, scan)
     trees, label = forest.plant(trees, met.firsts, state.next_label)
     history = state.history
@@ -206,38 +205,21 @@ def _step(
         dropped=unseen,
         log_loss=found.log_loss,
     )
-    estimate, awaited = _look_back(settings, params, history, trees, found, estimate)
+    leaf = verdict.leaves(trees, found.views)
+    awaited = False if history is None else retrodiction.awaited(history, leaf[0])
     limits, number = settings.thinning, len(scan.valid)
     pruned = deciding.decide(
         limits, settings.num_scans, trees, sure, found, number, awaited
     )
     kept = pruned.kept
+    estimate = _some(estimate, kept, lost_leaves)
     if history is not None:
         history = retrodiction.keep(history, kept)
-    lost = (estimate.existence_prob[: lost_leaves.size] * lost_leaves).sum()
-    gone = estimate.existence_prob.sum() - estimate.existence_prob[kept].sum()
-    estimate = estimate._replace(dropped=unseen + lost + jnp.maximum(gone, 0.0))
-    estimate = _some(estimate, kept)
+        here = leaf[0][kept], leaf[1][kept]
+        about = target, params.target, history, pruned.trees, here
+        past = retrodiction.retrodict(*about, settings.report_threshold)
+        estimate = estimate._replace(retrodicted=past)
     return State(*pruned[:4], hidden, label, key, history), estimate
-
-
-def _look_back(
-    settings: Settings,
-    params: Params,
-    history: retrodiction.History | None,
-    trees: Forest,
-    found: multiscan_choice.Choice,
-    estimate: verdict.Estimate,
-) -> tuple[verdict.Estimate, Array | bool]:
-    """Adds the delayed output; tells which trees must stay for it, [N + K]."""
-    if history is None:
-        return estimate, False
-    leaf = verdict.leaves(trees, found.views)
-    retrodicted = retrodiction.retrodict(
-        settings.target, params.target, history, trees, leaf, settings.report_threshold
-    )
-    awaited = retrodiction.awaited(history, leaf[0])
-    return estimate._replace(retrodicted=retrodicted), awaited
 
 
 def _grow(
@@ -285,12 +267,16 @@ def _grow(
     return grown, parent, jnp.where(known, -jnp.expm1(jnp.minimum(share, 0.0)), 0.0)
 
 
-def _some(estimate: verdict.Estimate, kept: Array) -> verdict.Estimate:
-    """Returns the estimate about the trees that were kept."""
+def _some(
+    estimate: verdict.Estimate, kept: Array, lost_leaves: Array
+) -> verdict.Estimate:
+    """Returns the estimate about the trees that were kept, and adds what was not."""
+    prob = estimate.existence_prob
+    lost = (prob[: lost_leaves.size] * lost_leaves).sum()
+    gone = jnp.maximum(prob.sum() - prob[kept].sum(), 0.0)
+    estimate = estimate._replace(dropped=estimate.dropped + lost + gone)
     per_tree = {
         name: getattr(estimate, name)[kept]
         for name in ("mean", "cov", "label", "exists", "existence_prob", "mode_prob")
     }
-    size = estimate.effective_size[kept]
-    past = jax.tree.map(lambda x: x[kept], estimate.retrodicted)
-    return estimate._replace(effective_size=size, retrodicted=past, **per_tree)
+    return estimate._replace(effective_size=estimate.effective_size[kept], **per_tree)
