@@ -5,13 +5,14 @@
 
 One run looks like this:
 
-    >>> import jax
+    >>> import functools, jax
     >>> from jaxtrack import engine
     >>> from jaxtrack.scenarios import yuan2013_linear
     >>> scenario = yuan2013_linear.make()
-    >>> truth, scans = scenario.simulate(jax.random.key(0))
-    >>> tracker, params = scenario.trackers["imm-mm-cbmember"]
-    >>> estimates = engine.run(tracker, params, scans, jax.random.key(1))
+    >>> truth, scans = jax.jit(scenario.simulate)(jax.random.key(0))
+    >>> tracker, params = scenario.trackers["gm-cv-cbmember"]
+    >>> run = jax.jit(functools.partial(engine.run, tracker))
+    >>> estimates = run(params, scans, jax.random.key(1))
     >>> estimates.mean.shape
     (50, 16, 4)
 """

@@ -7,12 +7,13 @@ nothing, so every cluster has a list of its own; a list of B for each of ten clu
 tells of B^10 selections. `leaf_prob` sums up over the lists, `together` makes one list
 of them.
 
-    >>> import jax.numpy as jnp
+    >>> import functools, jax, jax.numpy as jnp
     >>> from jaxtrack.assign.multiscan import beam, problem
     >>> log_score = jnp.array([[3.0, 0.0], [5.0, 4.0], [1.0, 0.0]])
     >>> detection = jnp.array([[[0], [-1]], [[0], [-1]], [[1], [-1]]])
     >>> given = problem.Problem(log_score, detection)
-    >>> found = beam.beam(given, num_detections=2, width=4)
+    >>> best = functools.partial(beam.beam, num_detections=2, width=4)
+    >>> found = jax.jit(best)(given)
     >>> print(found.label, found.log_score[:, 0], found.log_score[:, 2])
     [0 0 2] [  7.   5.   4. -inf] [  1.   0. -inf -inf]
     >>> print(beam.together(found).log_score)
