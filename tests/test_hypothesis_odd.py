@@ -39,7 +39,7 @@ def runner(**settings):
     def run(params, scans):
         step = functools.partial(tracker.step, params)
         state = tracker.init(params, jax.random.key(0))
-        return jax.lax.scan(lambda state, scan: step(state, scan), state, scans)[1]
+        return jax.lax.scan(lambda state, scan: step(state, scan), state, scans)
 
     return run
 
@@ -69,8 +69,8 @@ def test_targets_keep_their_labels_where_nothing_can_be_false(rate, half):
     box = params.clutter._replace(
         rate=jnp.asarray(rate), low=-half * jnp.ones(1), high=half * jnp.ones(1)
     )
-    usual = runner(num_scans=1)(params, two_places())
-    odd = runner(num_scans=1)(params._replace(clutter=box), two_places())
+    _, usual = runner(num_scans=1)(params, two_places())
+    _, odd = runner(num_scans=1)(params._replace(clutter=box), two_places())
     assert reported(odd)[-1] == reported(usual)[-1]
     assert len(reported(odd)[-1]) == 2
     assert reported(odd)[3] == reported(odd)[-1]
@@ -88,7 +88,7 @@ def test_a_rare_target_is_found_without_clutter():
         mode_prob=jnp.ones(1),
     )
     params = params._replace(birth=births, undetected=None)
-    estimates = runner(num_scans=1)(params, two_places())
+    _, estimates = runner(num_scans=1)(params, two_places())
     assert len(reported(estimates)[-1]) == 2
 
 
@@ -100,8 +100,8 @@ def test_a_track_long_dead_makes_room():
     late[6:, 1] = True
     scans = scans._replace(valid=jnp.asarray(late))
     run = runner(num_scans=1, max_tracks=1)
-    alone = run(params, scans._replace(valid=scans.valid.at[0].set(False)))
-    after = run(params, scans)
+    _, alone = run(params, scans._replace(valid=scans.valid.at[0].set(False)))
+    _, after = run(params, scans)
     assert alone.exists[-1].any()
     np.testing.assert_array_equal(after.exists[-1], alone.exists[-1])
 
@@ -118,7 +118,8 @@ def test_leaves_merge_by_how_likely_their_targets_still_exist():
         age=jnp.ones(1, jnp.int32),
     )
     equal = Hypotheses(jnp.log(jnp.array([0.5, 0.5])), jnp.array([[0], [1]]))
-    merged, rows = thinning.merge_leaves(scenes.target, 4.0, trees, equal)
+    merge = jax.jit(functools.partial(thinning.merge_leaves, scenes.target))
+    merged, rows = merge(4.0, trees, equal)
     np.testing.assert_array_equal(rows.leaf, 0)
     np.testing.assert_allclose(merged.existence_prob[0, 0], 0.505, rtol=1e-12)
     mean = merged.belief.mean[0, 0, 0]
@@ -148,7 +149,7 @@ def test_merging_changes_little_where_histories_are_alike():
 def test_the_heaviest_hypothesis_always_has_its_leaves():
     code = jnp.array([[1, 1, 1], [2, 2, 1], [2, 1, 3]])
     rows = Hypotheses(jnp.log(jnp.array([0.4, 0.3, 0.3])), code)
-    found = global_hypotheses.distinct(rows, 1)
+    found = jax.jit(global_hypotheses.distinct, static_argnums=1)(rows, 1)
     assert found.hypotheses.log_weight[0] == rows.log_weight[0]
     np.testing.assert_array_equal(found.hypotheses.leaf[0], 0)
     assert (found.hypotheses.log_weight[1:] == -jnp.inf).all()
@@ -192,19 +193,16 @@ def test_what_remains_is_what_can_still_be_said():
         log_loss=jnp.zeros(()),
     )
     kept, sure = jnp.array([True, False]), jnp.zeros(2, bool)
-    found = multiscan_choice.remaining(choice, trees, kept, sure)
+    remaining = jax.jit(multiscan_choice.remaining)
+    found = remaining(choice, trees, kept, sure)
     np.testing.assert_allclose(found, np.logaddexp(2.0, 1.0), rtol=1e-12)
     fewer = trees._replace(log_score=log_score.at[0, 0].set(-jnp.inf))
-    found = multiscan_choice.remaining(choice, fewer, kept, sure)
+    found = remaining(choice, fewer, kept, sure)
     np.testing.assert_allclose(found, 2.0, rtol=1e-12)
 
 
 def test_scores_of_sure_trees_do_not_grow_without_end():
     params, scans = scenes.params_of(problem()), two_places()
-    tracker = mht.mht(scenes.target, **SMALL, num_scans=1, max_hypotheses=4)
-    step = jax.jit(tracker.step)
-    state = tracker.init(params, jax.random.key(0))
-    for t in range(6):
-        state, _ = step(params, state, jax.tree.map(lambda x, t=t: x[t], scans))
+    state, _ = runner(num_scans=1)(params, scans)
     assert state.sure.sum() == 2
     np.testing.assert_array_equal(state.trees.log_score[state.sure].max(1), 0)

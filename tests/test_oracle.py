@@ -1,5 +1,6 @@
 """Tests of `trackers.oracle` against all lives of all targets, one by one."""
 
+import functools
 import itertools
 
 import jax
@@ -23,7 +24,20 @@ from reference import lives
 from jaxtrack.trackers import enumeration, oracle
 from jaxtrack.types import Scan
 
-NUM, MAX = 40, 8
+NUM, MAX, NUMBERS = 40, 8, 40
+
+
+@functools.cache
+def scenes(**changes):
+    """Many random problems, their detections, and both stacked."""
+    drawn = [{**draw(seed), **changes} for seed in range(NUM)]
+    places = [detections(seed) for seed in range(NUM)]
+    return drawn, places, (stacked(drawn), stacked(places))
+
+
+@functools.cache
+def solved():
+    return solve(*scenes()[2])
 
 
 @jax.jit
@@ -50,30 +64,27 @@ def compare(found, k, expected, numbers, sizes=SIZES):
 
 
 def test_posterior_evidence_and_number_are_those_of_all_lives():
-    drawn = [draw(seed) for seed in range(NUM)]
-    places = [detections(seed) for seed in range(NUM)]
-    found = solve(stacked(drawn), stacked(places))
+    (drawn, places, _), found = scenes(), solved()
     for k in range(NUM):
         compare(found, k, *lives.posterior(places[k], model_of(drawn[k]), MAX + 1))
 
 
 def test_numbers_need_not_be_poisson():
     rng = np.random.default_rng(7)
-    drawn = [{**draw(seed), "births": 0.0} for seed in range(NUM)]
-    places = [detections(seed) for seed in range(NUM)]
+    drawn, places, given = scenes(births=0.0)
     number = rng.dirichlet(np.ones(5), NUM)
     false = rng.dirichlet(np.ones(4), NUM)
-    counts = oracle.Counts(jnp.log(number), jnp.log(false))
-    found = solve(stacked(drawn), stacked(places), counts)
+    # Larger numbers are impossible.
+    padded = [np.pad(x, [(0, 0), (0, NUMBERS - x.shape[1])]) for x in (number, false)]
+    found = solve(*given, oracle.Counts(*map(jnp.log, padded)))
     for k in range(NUM):
         model = model_of(drawn[k], number_prob=number[k], false_prob=false[k])
         compare(found, k, *lives.posterior(places[k], model, MAX + 1))
 
 
 def test_poisson_numbers_given_as_such_change_nothing():
-    drawn = [{**draw(seed), "births": 0.0} for seed in range(4)]
-    places = [detections(seed) for seed in range(4)]
-    number = np.arange(40)
+    drawn, _, given = scenes(births=0.0)
+    number = np.arange(NUMBERS)
     factorial = np.cumsum(np.log(np.maximum(number, 1)))
 
     def poisson(rate):
@@ -82,8 +93,7 @@ def test_poisson_numbers_given_as_such_change_nothing():
     counts = stacked(
         [oracle.Counts(poisson(x["undetected"]), poisson(x["clutter"])) for x in drawn]
     )
-    told = solve(stacked(drawn), stacked(places), counts)
-    plain = solve(stacked(drawn), stacked(places))
+    told, plain = solve(*given, counts), solve(*given)
     for name in ("log_prob", "log_evidence", "num_prob", "track_prob"):
         np.testing.assert_allclose(
             getattr(told, name), getattr(plain, name), rtol=1e-9, err_msg=name
@@ -91,18 +101,17 @@ def test_poisson_numbers_given_as_such_change_nothing():
 
 
 def test_tracks_are_believed_as_kalman_filters_do():
-    drawn, places = draw(3), detections(3)
-    found = solve(stacked([drawn]), stacked([places]))
-    model = model_of(drawn)
+    places, model = detections(3), model_of(draw(3))
+    found = jax.tree.map(lambda x: x[3], solved())
     for track, mean in zip(
-        enumeration.table(SIZES).track, found.belief.mean[0], strict=True
+        enumeration.table(SIZES).track, found.belief.mean, strict=True
     ):
         expected = lives.likelihood(track, places, model)[1]
         # Means of order 1, some of which are 0.
         np.testing.assert_allclose(mean, expected, rtol=1e-10, atol=1e-14)
-    prob = found.track_prob[0]
+    prob = found.track_prob
     member = enumeration.table(SIZES).member
-    np.testing.assert_allclose(prob, np.exp(found.log_prob[0]) @ member, rtol=1e-12)
+    np.testing.assert_allclose(prob, np.exp(found.log_prob) @ member, rtol=1e-12)
 
 
 def test_a_slot_that_is_not_valid_is_nobodys():

@@ -108,14 +108,15 @@ def test_each_of_two_sensors_sees_its_own_disc():
     keys = jax.random.split(jax.random.key(0), 20)
     simulate = jax.jit(jax.vmap(lambda key: scenario.simulate(key)[1]))
     scans, seen = simulate(keys), scenario.world
-    places = world.shown(jax.tree.map(lambda x: x[0], scans), seen.sensor)
+    first = jax.tree.map(lambda x: x[0], scans)
+    places = jax.eval_shape(lambda x: world.shown(x, seen.sensor), first)
     assert places.detections.shape == (60, 2 * scenario.max_detections, 2)
     for k, (scan, own) in enumerate(zip(scans.each, seen.detect, strict=True)):
-        prob = jax.vmap(jax.vmap(lambda x, own=own: own.prob(0, x, 0.0)))
+        prob = jax.jit(jax.vmap(jax.vmap(lambda x, own=own: own.prob(0, x, 0.0))))
         expected = jnp.where(seen.truth.exists, prob(seen.truth.state), 0.0).sum()
         found = scan.valid.sum() / len(keys)
         assert abs(found - expected) < 4 * jnp.sqrt(expected / len(keys))
-        where = jax.vmap(lambda z, k=k: seen.sensor[k].locate(z).mean)
+        where = jax.jit(jax.vmap(lambda z, k=k: seen.sensor[k].locate(z).mean))
         away = where(scan.detections[scan.valid]) - own.centre[None]
         assert jnp.linalg.norm(away, axis=1).max() < own.radius + 200.0
 
