@@ -6,7 +6,6 @@ Sums of scores of order ten may be zero, so bounds on them are absolute.
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from reference import multiscan as reference
@@ -15,6 +14,7 @@ from jaxtrack.assign.multiscan import beam, problem
 
 INF = np.inf
 SHAPE = 4, 4, 2, 5  # trees, leaves, scans, detections
+SLOPED = 3  # a width that is differentiated
 K = SHAPE[-1]
 
 
@@ -30,11 +30,16 @@ def drawn(rounded=False, count=80):
 
 @functools.cache
 def many(width):
-    def both(given):
-        found = beam.beam(given, K, width)
-        return found, beam.together(found), beam.leaf_prob(found, SHAPE[1])
+    """(problem) -> slopes of the sums in all scores, and everything that is told."""
 
-    return jax.jit(jax.vmap(both))
+    def told(log_score, detection):
+        found = beam.beam(problem.Problem(log_score, detection), K, width)
+        every = beam.together(found)
+        return every.log_score, (found, every, beam.leaf_prob(found, SHAPE[1]))
+
+    if width == SLOPED:
+        return jax.jit(jax.vmap(jax.jacrev(told, has_aux=True)))
+    return jax.jit(jax.vmap(told))
 
 
 def clusters(log_score, detection):
@@ -67,7 +72,7 @@ def test_labels_are_those_of_trees_that_share_detections():
 @pytest.mark.parametrize("rounded", [False, True], ids=["distinct", "tied"])
 def test_wide_enough_it_is_enumeration(rounded):
     whole, listed = drawn(rounded)
-    lists, found, prob = jax.tree.map(np.asarray, many(256)(whole))
+    lists, found, prob = jax.tree.map(np.asarray, many(256)(*whole)[1])
     assert (lists.log_lost == -INF).all()
     for k, known in enumerate(listed):
         expected = np.sort(list(known.values()))[::-1]
@@ -93,7 +98,7 @@ def test_wide_enough_it_is_enumeration(rounded):
 @pytest.mark.parametrize("width", [1, 3, 10])
 def test_what_is_left_out_is_not_above_its_bound(width):
     whole, listed = drawn()
-    _, found, _ = jax.tree.map(np.asarray, many(width)(whole))
+    _, found, _ = jax.tree.map(np.asarray, many(width)(*whole)[1])
     surely = 0
     for k, known in enumerate(listed):
         there = found.log_score[k] > -INF
@@ -115,7 +120,7 @@ def test_what_is_left_out_is_not_above_its_bound(width):
 
 def test_every_cluster_has_its_own_list():
     whole, _ = drawn()
-    lists, _, _ = jax.tree.map(np.asarray, many(10)(whole))
+    lists, _, _ = jax.tree.map(np.asarray, many(10)(*whole)[1])
     for k, labels in enumerate(lists.label):
         for first in set(labels.tolist()):
             mine = labels == first
@@ -131,16 +136,13 @@ def test_every_cluster_has_its_own_list():
 
 
 def test_gradient_is_that_of_the_chosen_scores():
-    whole, listed = drawn()
-    k = next(k for k, known in enumerate(listed) if len(known) > 5)
-    one = jax.tree.map(lambda x: jnp.asarray(x[k]), whole)
-
-    def scores(log_score):
-        return beam.together(beam.beam(one._replace(log_score=log_score), K, 4))
-
-    slope = jax.jit(jax.jacrev(lambda x: scores(x).log_score))(one.log_score)
-    leaf = scores(one.log_score).leaf
-    expected = jax.nn.one_hot(leaf, SHAPE[1], dtype=slope.dtype)
+    """In every problem; what is not there has none."""
+    whole, _ = drawn()
+    slope, (_, found, _) = jax.tree.map(np.asarray, many(SLOPED)(*whole))
+    there = found.log_score > -INF
+    assert there.sum() > 100
+    leaf = np.where(there[..., None], found.leaf, -1)
+    expected = leaf[..., None] == np.arange(SHAPE[1])
     np.testing.assert_array_equal(slope, expected)
 
 
