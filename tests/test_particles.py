@@ -101,12 +101,10 @@ def lives(target, runs, seed=0):
 
 WAYS = {
     "bootstrap": particles.particles(max_particles=300),
-    "always": particles.particles(max_particles=300, ess_threshold=1.0),
-    "modes drawn evenly": particles.particles(
-        max_particles=300, mode_proposal=jnp.zeros_like
+    "always resampled, modes drawn evenly": particles.particles(
+        max_particles=300, ess_threshold=1.0, mode_proposal=jnp.zeros_like
     ),
     "extended": particles.particles(max_particles=200, proposal=linearize.taylor),
-    "unscented": particles.particles(max_particles=200, proposal=linearize.unscented),
     "moves": particles.particles(max_particles=200, num_moves=2),
     "rao_blackwell": rao_blackwell.rao_blackwell(max_particles=30),
 }
