@@ -147,8 +147,8 @@ def remember(
 
 def keep(history: History, kept: Array) -> History:
     """Returns the history of some trees, [N'] (int)."""
-    per_leaf = jax.tree.map(lambda x: x[kept], history[:4])
-    return History(*per_leaf, history.interval, history.num)
+    belief, exists, gain, seen = jax.tree.map(lambda x: x[kept], history[:4])
+    return History(belief, exists, gain, seen, history.interval, history.num)
 
 
 def awaited(history: History, best: Array) -> Array:
