@@ -33,7 +33,7 @@ EXACT = {"prune_threshold": 0.0, "exist_threshold": 0.0}
 ALL = enumeration.count(SIZES)
 TREES = {
     "max_leaves": [
-        {"num_scans": 2, "max_leaves": n, "max_hypotheses": ALL} for n in (1, 2, 4, 9)
+        {"num_scans": 2, "max_leaves": n, "max_hypotheses": ALL} for n in (2, 4, 9)
     ],
     "num_scans": [
         {"num_scans": n, "max_leaves": 9, "max_hypotheses": ALL} for n in (0, 1, 2)

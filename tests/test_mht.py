@@ -114,7 +114,7 @@ def test_tracks_are_as_likely_as_all_hypotheses_say():
 
 def test_less_room_loses_more_and_says_so():
     errors, lost = [], []
-    for leaves in (1, 12):
+    for leaves in (2, 12):
         estimates = found(max_leaves=leaves)
         gap = estimates.log_evidence.sum(1) - truth().log_evidence
         errors.append(abs(gap).mean())
@@ -191,6 +191,7 @@ def test_known_targets_are_there_from_the_start():
     [
         ("max_tracks", 0, "max_tracks is 0; give at least 1"),
         ("max_leaves", 0, "max_leaves is 0; give at least 1"),
+        ("max_leaves", 1, "max_leaves is 1; give at least 2"),
         ("num_scans", -1, "num_scans is -1; give 0 or more"),
         ("solver", "simplex", "solver is 'simplex'; give one of lagrangian"),
         ("prune_threshold", 2.0, "prune_threshold is 2.0; give a probability"),

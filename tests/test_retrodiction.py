@@ -21,6 +21,7 @@ from jaxtrack.trackers import mht, retrodiction
 from jaxtrack.types import Gaussian, Scan
 
 NUM, DELAY = 12, 3
+INTERVALS = np.tile([0.7, 1.3, 0.4], NUM // 3)
 ROOM = {"max_tracks": 3, "max_leaves": 6, "max_undetected": 2, "gate_prob": 1.0}
 
 
@@ -42,8 +43,7 @@ def program(target):
 
 def estimates(target, params, places, seen):
     """One detection a scan, or none."""
-    interval = jnp.full(len(seen), scenes.INTERVAL)
-    scans = Scan(places[:, None, None], seen[:, None], interval)
+    scans = Scan(places[:, None, None], seen[:, None], INTERVALS)
     return program(target)(params, scans)
 
 
@@ -53,28 +53,31 @@ def known(mean, cov, modes=1):
     return MultiBernoulliBirth(np.ones(1), mean[None], cov[None], share)
 
 
-def joint(model, mean, cov, num):
+def moves(model):
+    """The transition and the noise of each interval."""
+    pace = model["time_constant"]
+    for interval in INTERVALS:
+        x = interval / pace  # a critically damped oscillator
+        move = np.exp(-x) * np.array([[1 + x, interval], [-x / pace, 1 - x]])
+        yield move, model["stationary"] - move @ model["stationary"] @ move.T
+
+
+def joint(model, mean, cov):
     """Moments of all states together, the first one interval after the prior."""
-    move, noise = model["transition"], model["stationary"]
-    noise = noise - move @ noise @ move.T
-    means, covs = [], []
-    for _ in range(num):
+    means, every = [], np.zeros((2 * NUM, 2 * NUM))
+    for k, (move, noise) in enumerate(moves(model)):
         mean, cov = move @ mean, move @ cov @ move.T + noise
         means.append(mean)
-        covs.append(cov)
-    every = np.zeros((2 * num, 2 * num))
-    for i, j in itertools.product(range(num), repeat=2):
-        first, later = min(i, j), max(i, j)
-        block = np.linalg.matrix_power(move, later - first) @ covs[first]
-        every[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = block if i >= j else block.T
+        here, before = slice(2 * k, 2 * k + 2), slice(0, 2 * k)
+        every[here, here] = cov
+        every[here, before] = move @ every[2 * k - 2 : 2 * k, before] if k else 0.0
+        every[before, here] = every[here, before].T
     return np.concatenate(means), every
 
 
-def path(rng, model, mean, num):
-    noise = model["stationary"]
-    noise = noise - model["transition"] @ noise @ model["transition"].T
-    for _ in range(num):
-        mean = model["transition"] @ mean + rng.multivariate_normal(np.zeros(2), noise)
+def path(rng, model, mean):
+    for move, noise in moves(model):
+        mean = move @ mean + rng.multivariate_normal(np.zeros(2), noise)
         yield mean
 
 
@@ -82,7 +85,7 @@ def path(rng, model, mean, num):
 def test_it_is_the_state_then_given_all_detections_until_now(bank):
     rng, drawn = np.random.default_rng(1), problem(survive=1.0, detect=0.8)
     model, (mean, cov) = scenes.model_of(drawn), (np.array([1.0, 0.0]), 4 * np.eye(2))
-    truth = np.array(list(path(rng, model, mean, NUM)))
+    truth = np.array(list(path(rng, model, mean)))
     places = truth[:, 0] + rng.normal(0, drawn["sensor_var"] ** 0.5, NUM)
     seen = rng.uniform(size=NUM) < 0.8
     params = scenes.params_of(drawn)._replace(start=known(mean, cov, 1 + bank))
@@ -94,7 +97,7 @@ def test_it_is_the_state_then_given_all_detections_until_now(bank):
         places_of = params.birth._replace(mode_prob=np.full((1, 2), 0.5))
         params = params._replace(target=both, birth=places_of, undetected=places_of)
     found = estimates(target, params, places, seen).retrodicted
-    first, every = joint(model, mean, cov, NUM)
+    first, every = joint(model, mean, cov)
     for k in range(DELAY, NUM):
         at = 2 * np.flatnonzero(seen[: k + 1])
         cross = every[:, at] @ np.linalg.inv(
@@ -128,7 +131,7 @@ def alive_given(seen, until, survive, detect):
 def test_existence_is_that_given_what_came_later():
     drawn = problem(survive=0.8, detect=0.5, clutter=1e-6)
     rng, model = np.random.default_rng(2), scenes.model_of(drawn)
-    places = np.array(list(path(rng, model, np.zeros(2), NUM)))[:, 0]
+    places = np.array(list(path(rng, model, np.zeros(2))))[:, 0]
     seen = np.array([1, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0], bool)
     start = known(np.zeros(2), model["stationary"])
     params = scenes.params_of(drawn)._replace(start=start)
@@ -142,7 +145,7 @@ def test_existence_is_that_given_what_came_later():
 def test_a_target_that_died_is_reported_until_it_was_last_detected():
     drawn = problem(survive=0.9, detect=0.999, births=0.5)
     rng, model = np.random.default_rng(3), scenes.model_of(drawn)
-    places = np.array(list(path(rng, model, np.zeros(2), NUM)))[:, 0]
+    places = np.array(list(path(rng, model, np.zeros(2))))[:, 0]
     seen = np.arange(NUM) < 5
     start = known(np.zeros(2), model["stationary"])
     params = scenes.params_of(drawn)._replace(start=start)

@@ -42,9 +42,9 @@ _BOUNDS = {
         _BELOW_ONE,
     ),
     **dict.fromkeys(
-        ("max_tracks", "max_births", "max_parents", "max_detections", "max_leaves"),
-        _COUNT,
+        ("max_tracks", "max_births", "max_parents", "max_detections"), _COUNT
     ),
+    "max_leaves": _Bound("2 or more", lambda x: x >= 2),
     **dict.fromkeys(
         ("confirm_hits", "confirm_scans", "drop_misses", "drop_scans"), _WINDOW
     ),

@@ -67,7 +67,8 @@ def decide(
         sure: Which of them are in every hypothesis, [N + K] (bool).
         found: The hypotheses.
         num_detections: K, of a scan.
-        awaited: Which trees stay even if their targets are dead, [N + K] (bool).
+        awaited: Which trees stay even if their targets are dead, before those that are
+            as likely to be none, [N + K] (bool).
     """
     best, views = found.best, found.views
     agrees = agreeing(trees, best, num_detections) & (trees.log_score > -jnp.inf)
@@ -80,6 +81,7 @@ def decide(
     alive = (score + safe_log(exists)).max(1)
     rank = jnp.where(sure, prob, jnp.maximum(prob, jax.nn.sigmoid(alive)))
     dead = jnp.where(sure, prob, exists.max(1)) <= limits.exist_threshold
+    rank = jnp.where(awaited, jnp.maximum(rank, 0.5), rank)
     rank = jnp.where(agrees.any(1) & (awaited | ~dead), rank, -1.0)
     # In the order in which they were begun, so that a tree stays where it is.
     kept = jnp.sort(jax.lax.top_k(rank, limits.max_tracks)[1])

@@ -116,7 +116,8 @@ def mht(
         max_hypotheses: Hypotheses by which probabilities are found, the likeliest; with
             1 the best is believed.
         max_tracks: Trees kept after a scan.
-        max_leaves: Leaves kept of each, the likeliest.
+        max_leaves: Leaves kept of each, the likeliest; that nothing more was detected
+            may always be one of them.
         max_undetected: Components kept of the intensity of undetected targets.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
@@ -138,6 +139,8 @@ def mht(
     for name, size in sizes.items():
         if size < 1:
             raise ValueError(f"{name} is {size}; give at least 1")
+    if max_leaves == 1:
+        raise ValueError("max_leaves is 1; give at least 2, one for a miss")
     if num_scans < 0:
         raise ValueError(f"num_scans is {num_scans}; give 0 or more")
     gate.check(gate_prob)
