@@ -30,6 +30,21 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+@pytest.fixture(scope="module")
+def whole_matrices():
+    """Matrices stay arrays however small, in half as long programs.
+
+    For files about what stands above the algebra; that both forms tell the same, with
+    right gradients, is held in `test_linalg`, and the contracts of targets and of
+    trackers are kept with small matrices written out.
+    """
+    from jaxtrack import linalg  # not before the flags above are set
+
+    before, linalg.UNROLL = linalg.UNROLL, 1
+    yield
+    linalg.UNROLL = before
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _programs_go():
     """Forgets the programs that a file compiled: all of them take gigabytes."""

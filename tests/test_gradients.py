@@ -14,6 +14,8 @@ from cases.every_model import CASES, case_of, every_field, fields
 
 from jaxtrack import engine
 
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
 KEY = np.array(jax.random.key_data(jax.random.key(0)))
 STEP = 1e-6
 # Its density is flat, so it does not matter from where a place is looked at.

@@ -15,6 +15,8 @@ from jaxtrack.scenarios.world import turn_matrix
 from jaxtrack.targets import blending, imm, likely_modes, likely_set
 from jaxtrack.types import Gaussian
 
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
 RATES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])  # a chain of turns
 NUM, SCANS, STEP = len(RATES), 14, 1.5
 PRIOR = Gaussian(np.array([0.0, 30.0, 0.0, 5.0]), np.diag([50.0, 9.0, 50.0, 9.0]))

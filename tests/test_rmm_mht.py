@@ -12,6 +12,8 @@ from jaxtrack.models import birth, motion, probability, sensor
 from jaxtrack.trackers import rmm_mht
 from jaxtrack.types import Scan
 
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
 
 def start_of(mean, prob=1.0):
     num = len(mean)

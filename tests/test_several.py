@@ -10,6 +10,8 @@ from reference import kalman as book
 from jaxtrack.targets import single
 from jaxtrack.trackers import several, several_cbmember, several_phd
 
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
 NAMES = "phd", "cphd", "cbmember"
 EVERY = [(name, form) for name in NAMES for form in cases.FORMS]
 every_form = pytest.mark.parametrize(("name", "form"), EVERY)

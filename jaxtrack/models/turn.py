@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
-from jaxtrack.entries import Matrix
+from jaxtrack.entries import Matrix, split
 from jaxtrack.models import special
 from jaxtrack.types import Array, PyTree
 
@@ -204,8 +204,9 @@ class ForgottenTurn(NamedTuple):
         return _extend(self.motion.noise(interval), self.spread**2)
 
 
-def _extend(matrix: Matrix, corner: Array | int) -> Matrix:
+def _extend(matrix: Array | Matrix, corner: Array | int) -> Matrix:
     """Returns a matrix [D, D] with a last row and column, zero but for the corner."""
     size = len(matrix)
-    entries = [[*row, 0] for row in linalg.entries(matrix).rows]
+    written = matrix if isinstance(matrix, Matrix) else split(matrix)
+    entries = [[*row, 0] for row in written.rows]
     return Matrix([*entries, [0] * size + [corner]])
