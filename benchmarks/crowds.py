@@ -83,8 +83,8 @@ def rows(size: Size) -> list[Row]:
                 print(
                     made[-1].work, f"{1000 / made[-1].rate:.2f} ms a scan", flush=True
                 )
-    if not quick:
-        keep(made)
+                if not quick:  # so that nothing is lost if it is interrupted
+                    keep(made)
     return made
 
 
