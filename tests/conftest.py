@@ -36,7 +36,7 @@ def whole_matrices():
 
     For files about what stands above the algebra; that both forms tell the same, with
     right gradients, is held in `test_linalg`, and the contracts of targets and of
-    trackers are kept with small matrices written out.
+    trackers are kept with small matrices written out, as are published results.
     """
     from jaxtrack import linalg  # not before the flags above are set
 

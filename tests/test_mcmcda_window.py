@@ -100,21 +100,6 @@ def test_tracks_go_on_under_their_labels_when_the_window_has_passed():
     assert np.asarray(found.label)[5:][here[5:]].tolist() == [1, 1]
 
 
-@pytest.mark.slow
-def test_decisions_that_come_later_lose_less():
-    def loss(num_scans):
-        tracker = mcmcda.mcmcda(
-            scenes.target, num_scans=num_scans, num_samples=1000, burn_in=50, **ROOM
-        )
-        found = jax.jit(jax.vmap(functools.partial(track, tracker)))(*drawn())
-        return found.num_mean[:, -1]
-
-    truth = jax.jit(jax.vmap(exact))(*drawn())
-    mean = truth.num_prob @ np.arange(MAX + 1)
-    early, late = (abs(loss(num_scans) - mean).mean() for num_scans in (0, 2))
-    assert late < early
-
-
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="num_scans is -1; give 0 or more"):
         mcmcda.mcmcda(scenes.target, num_scans=-1)

@@ -13,7 +13,7 @@ def linear():
     return engine.monte_carlo(
         "yuan2013-linear",
         ["imm-mm-cbmember", "gm-mm-cbmember", "gm-cv-cbmember", "gm-ct-cbmember"],
-        runs=24,
+        runs=16,
         settings={"clutter_rate": [20.0, 60.0]},
     )
 

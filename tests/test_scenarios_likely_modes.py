@@ -6,7 +6,6 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtrack import engine
 from jaxtrack.scenarios import gomes_crossing, manoeuvre_digraph
 from jaxtrack.study import follow
 
@@ -118,11 +117,3 @@ def test_the_crossing_of_gomes_gives_the_numbers_of_its_docstring():
     assert 2.5 < likely.num_active.mean() < 3.1
     own = full.association_prob[:, 30, 0, 0].mean()
     assert 0.3 < own < 0.7  # where they meet, nobody can tell
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["gomes-crossing", "manoeuvre-digraph"])
-def test_a_study_scores_them(name):
-    data = engine.monte_carlo(name, ["lms-jpda"], runs=10)
-    ospa = data.ospa.mean(("run", "time")).values.ravel()
-    assert (ospa < 80).all()

@@ -73,9 +73,6 @@ CASES = {
         max_hypotheses=12,
         max_children=4,
     ),
-    "mht_imm": lambda: line_case(
-        mht.mht, imm.imm(), trackers.two_mode_params(), 2, max_hypotheses=8
-    ),
     "mht_detection_birth": driven_case,
     "rmm_mht": rmm_case,
 }

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxtrack import linearize
-from jaxtrack.models import birth, clutter, motion, probability, sensor, switching, turn
+from jaxtrack.models import birth, clutter, motion, probability, sensor, switching
 from jaxtrack.targets import imm, mixture, particles, single
 from jaxtrack.trackers import cbmember, cphd, phd
 from jaxtrack.types import Scan
@@ -154,35 +153,6 @@ def merging_case():
     return plain._replace(make=functools.partial(maker, single.single()))
 
 
-def unscented_case():
-    """The UK form of the mixture: unknown turn rate, range and bearing."""
-    plain = ekf_case()
-    places = np.array([[100.0, 3.0, 80.0, -2.0, 0.1], [-60.0, 1.0, 120.0, 2.0, -0.1]])
-    births = plain.params.birth._replace(
-        mean=places, cov=np.tile(np.diag(array(25.0, 4.0, 36.0, 9.0, 0.02)), (2, 1, 1))
-    )
-    target = imm.Params(
-        motions=(
-            turn.ForgottenTurn(
-                turn.CoordinatedTurn(value(0.05), value(0.4)), value(0.15)
-            ),
-            turn.TurnRate(value(0.6), value(1e-3)),
-        ),
-        switching=switching.SojournSwitching(
-            array(9.0, 6.0), np.array([[0.0, 1.0], [1.0, 0.0]])
-        ),
-        sensor=plain.params.target.sensor,
-        survive=plain.params.target.survive,
-        detect=plain.params.target.detect,
-    )
-    births = births._replace(mode_prob=np.array([[0.7, 0.3], [0.4, 0.6]]))
-    maker = mixture.mixture(max_components=1, method=linearize.unscented)
-    return plain._replace(
-        make=functools.partial(cbmember.cbmember, maker),
-        params=cbmember.Params(target, births, plain.params.clutter),
-    )
-
-
 def far_field_case():
     """A field of view far from the origin, where the beliefs of empty slots are."""
     offset = array(9e3, 0.0, 0.0, 0.0)
@@ -257,7 +227,6 @@ CASES = {
     "cbmember_ekf": ekf_case,
     "cbmember_detection_birth": detection_birth_case,
     "cbmember_merging": merging_case,
-    "cbmember_unscented": unscented_case,
     "cbmember_far_field": far_field_case,
 }
 
@@ -280,15 +249,13 @@ def hypothesis_case(name):
     return hypothesis_trackers.CASES[name]()
 
 
-HYPOTHESES = ("hypothesis_mht", "mht_imm", "mht_detection_birth", "rmm_mht")
+HYPOTHESES = ("hypothesis_mht", "mht_detection_birth", "rmm_mht")
 CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles"}
-# The first compiles for a minute; the others are trackers that another case has, too.
+# They compile for long.
 SECOND_VARIANTS = {
-    "cbmember_unscented",
     "cbmember_far_field",
-    "mht_imm",
     "rmm_mht",
 }
 
