@@ -102,7 +102,7 @@ def test_iterations_are_those_of_the_loops():
         for _ in range(ROUNDS):
             paths = plain.improve(paths, scans, model, motions)
         for n, (mean, cov) in enumerate(paths):
-            # Coordinates of order one, that come near 0.
+            # Coordinates and covariances of order one, that come near 0.
             np.testing.assert_allclose(
                 found().belief.mean[k, n], mean, rtol=1e-8, atol=1e-9
             )
