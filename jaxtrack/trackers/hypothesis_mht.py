@@ -122,9 +122,7 @@ def hypothesis_mht(
         "max_leaves": max_leaves,
         "max_undetected": max_undetected,
     }
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
+    thinning.check_sizes(sizes)
     gate.check(gate_prob)
     limits = thinning.Thinning(
         max_tracks, prune_threshold, exist_threshold, merge_threshold

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import cardinality
-from jaxtrack.trackers import mcmcda_moves, mcmcda_scores, mcmcda_table
+from jaxtrack.trackers import mcmcda_moves, mcmcda_scores, mcmcda_table, thinning
 from jaxtrack.trackers.mcmcda_scores import Problem, Scored
 from jaxtrack.trackers.undetected import Params
 from jaxtrack.types import Array, Target
@@ -170,9 +170,7 @@ def check(
 ) -> None:
     """Raises a ValueError where settings make no sense."""
     sizes = {"max_tracks": max_tracks, "num_samples": num_samples, "thin": thin}
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
+    thinning.check_sizes(sizes)
     if burn_in < 0:
         raise ValueError(f"burn_in is {burn_in}; give 0 or more")
     if len(shares) != len(SHARES) or min(shares) < 0 or sum(shares) <= 0:

@@ -136,9 +136,7 @@ def mht(
         "max_leaves": max_leaves,
         "max_undetected": max_undetected,
     }
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
+    thinning.check_sizes(sizes)
     if max_leaves == 1:
         raise ValueError("max_leaves is 1; give at least 2, one for a miss")
     if num_scans < 0:

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linearize
-from jaxtrack.trackers import pmht_batch, recent
+from jaxtrack.trackers import pmht_batch, recent, thinning
 from jaxtrack.trackers.bernoulli import Estimate
 from jaxtrack.trackers.pmht_batch import Params
 from jaxtrack.trackers.recent import Recent
@@ -74,9 +74,7 @@ def pmht(
         "num_iterations": num_iterations,
         "max_detections": max_detections,
     }
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} is {size}; give at least 1")
+    thinning.check_sizes(sizes)
     settings = Settings(num_scans, num_iterations, max_detections, method)
     return Tracker(
         init=functools.partial(_init, settings), step=functools.partial(_step, settings)

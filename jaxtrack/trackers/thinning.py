@@ -53,6 +53,13 @@ def check(limits: Thinning) -> None:
         )
 
 
+def check_sizes(sizes: dict[str, int]) -> None:
+    """Raises a ValueError for a capacity that has room for nobody."""
+    for name, size in sizes.items():
+        if size < 1:
+            raise ValueError(f"{name} is {size}; give at least 1")
+
+
 def check_share(name: str, share: float) -> None:
     """Raises a ValueError for what is no probability below 1."""
     if not 0 <= share < 1:
