@@ -115,7 +115,7 @@ def keep(made: list[Row]) -> None:
         axis.set_xticks(ticks, [str(x) for x in ticks])
         axis.minorticks_off()
         axis.grid(alpha=0.3)
-    axes[0].legend()
+    axes[1].legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
     figure.savefig(RESULTS / "crowds.png", dpi=120)
 
 
