@@ -189,13 +189,47 @@ def follow(
     )
 
 
-def plant(forest: Forest, firsts: Firsts, next_label: Array) -> tuple[Forest, Array]:
+def add_born(forest: Forest, born: bernoulli.Tracks) -> Forest:
+    """Adds a tree for each target that may be born now, before any detection of it.
+
+    Args:
+        forest: N trees with L leaves.
+        born: B tracks.
+
+    Returns:
+        N + B trees.
+    """
+    size, (_, leaves, scans) = born.label.size, forest.past.shape
+    there = (jnp.arange(leaves) == 0)[None] & (born.label >= 0)[:, None]
+    trees = Forest(
+        log_score=jnp.where(there, 0.0, -jnp.inf),
+        existence_prob=jnp.where(there, born.existence_prob[:, None], 0.0),
+        belief=jax.tree.map(
+            lambda x: jnp.broadcast_to(x[:, None], (size, leaves, *x.shape[1:])),
+            born.belief,
+        ),
+        past=jnp.full((size, leaves, scans), -1),
+        label=born.label,
+        age=jnp.ones(size),
+    )
+    return jax.tree.map(
+        lambda x, y: jnp.concatenate([x, y.astype(x.dtype)]), forest, trees
+    )
+
+
+def plant(
+    forest: Forest,
+    firsts: Firsts,
+    next_label: Array,
+    existence_prob: Array | None = None,
+) -> tuple[Forest, Array]:
     """Adds a tree for each detection, of a target detected for the first time.
 
     Args:
         forest: N trees with L leaves.
         firsts: K first detections.
         next_label: The first free label.
+        existence_prob: That there is such a target, [K]; 1 if None.
 
     Returns:
         N + K trees, of which those of impossible detections are empty, and the next
@@ -208,9 +242,11 @@ def plant(forest: Forest, firsts: Firsts, next_label: Array) -> tuple[Forest, Ar
     past = jnp.full((num, leaves, scans), -1, forest.past.dtype)
     detection = jnp.arange(num, dtype=past.dtype)
     alive = there[:, 0]
+    sure = jnp.ones_like(firsts.log_score)
+    exists = sure if existence_prob is None else existence_prob
     trees = Forest(
         log_score=jnp.where(there, firsts.log_score[:, None], -jnp.inf),
-        existence_prob=there.astype(forest.existence_prob.dtype),
+        existence_prob=jnp.where(there, exists[:, None], 0.0),
         belief=jax.tree.map(
             lambda x: jnp.broadcast_to(x[:, None], (num, leaves, *x.shape[1:])),
             firsts.belief,

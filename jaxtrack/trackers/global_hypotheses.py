@@ -118,31 +118,34 @@ def follow(hypotheses: Hypotheses, log_score: Array, max_children: int) -> Child
     return Children(kept, parent, events.column[parent, event], mixture.total(weights))
 
 
-def distinct(hypotheses: Hypotheses, size: int) -> Leaves:
+def distinct(hypotheses: Hypotheses, size: int, num_codes: int) -> Leaves:
     """Finds the distinct leaves that hypotheses have, the likeliest L of each tree.
 
     Args:
-        hypotheses: H, with a code for each leaf instead of its place, not negative.
+        hypotheses: H, with a code for each leaf instead of its place, -1 for none.
         size: L.
+        num_codes: All codes are less.
     """
     weight = jnp.exp(mixture.log_normalise(hypotheses.log_weight))
+    weight = jax.lax.stop_gradient(weight)
     heaviest = jnp.argmax(hypotheses.log_weight)
     live = hypotheses.log_weight > -jnp.inf
-    row = jnp.arange(live.size)
+    place = jnp.arange(size)
 
     def tree(code: Array) -> tuple[Array, Array, Array]:
-        code = jnp.where(live, code, -1)
-        same = code[:, None] == code[None]
-        total = jnp.where(same, weight[None], 0.0).sum(1)
-        again = (same & (row[None] < row[:, None])).any(1)
-        total = jnp.where(code == code[heaviest], 2.0, total)  # stays at any rate
-        rank = jnp.where(again | (code < 0), -1.0, total)
-        best, at = jax.lax.top_k(rank, min(size, row.size))
-        found = jnp.where(best >= 0, code[at], -1)
-        found = jnp.pad(found, (0, size - found.size), constant_values=-1)
-        match = (code[:, None] == found[None]) & (code >= 0)[:, None]
-        placed = match.any(1)
-        return found, jnp.where(placed, match.argmax(1), -1), (code >= 0) & ~placed
+        there = live & (code >= 0)
+        at = jnp.where(there, code, num_codes)
+        # More than nothing even if the weight is too small for a number.
+        likely = jnp.full(num_codes, -1.0, weight.dtype).at[at].max(0.0, mode="drop")
+        likely = likely.at[at].add(weight, mode="drop")
+        likely = likely.at[at[heaviest]].set(2.0, mode="drop")  # stays at any rate
+        best, found = jax.lax.top_k(likely, min(size, num_codes))
+        short = size - found.size
+        found = jnp.pad(jnp.where(best >= 0, found, num_codes), (0, short), "edge")
+        found = jnp.where(place < size - short, found, num_codes)
+        to = jnp.full(num_codes + 1, -1).at[found].set(place, mode="drop")
+        leaf = jnp.where(there, to[at], -1)
+        return jnp.where(found < num_codes, found, -1), leaf, there & (leaf < 0)
 
     code, leaf, lost = jax.vmap(tree, in_axes=1)(hypotheses.leaf)
     log_weight = jnp.where(lost.any(0), -jnp.inf, hypotheses.log_weight)

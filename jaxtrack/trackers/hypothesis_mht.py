@@ -231,5 +231,7 @@ def _leaves(
     new = jnp.where(children.column[:, num:] < columns - 1, 0, -1)
     code = jnp.concatenate([jnp.where(old >= 0, again, -1), new], axis=1)
     return global_hypotheses.distinct(
-        Hypotheses(children.log_weight, code), settings.max_leaves
+        Hypotheses(children.log_weight, code),
+        settings.max_leaves,
+        settings.max_leaves * columns,
     )

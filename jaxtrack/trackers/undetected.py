@@ -36,7 +36,8 @@ class Params(NamedTuple):
     Attributes:
         target: The `Params` of the target.
         birth: `models.birth.PoissonBirth` (known places, in every scan after the
-            prediction) or `DetectionBirth` (anywhere, at the first detection).
+            prediction) or `DetectionBirth` (anywhere, at the first detection); for
+            `mbm` and `mbm01` `MultiBernoulliBirth`, and nobody undetected.
         clutter: Of `models.clutter`.
         undetected: Targets expected to be there before the first scan, not detected
             yet, or None. With a `DetectionBirth` it must be None.
@@ -44,7 +45,7 @@ class Params(NamedTuple):
     """
 
     target: Any
-    birth: PoissonBirth | DetectionBirth
+    birth: PoissonBirth | DetectionBirth | MultiBernoulliBirth
     clutter: Any
     undetected: PoissonBirth | None = None
     start: MultiBernoulliBirth | None = None
@@ -188,6 +189,21 @@ def see(
     )
 
 
+def add(undetected: Undetected, prob: Array, belief: PyTree) -> Undetected:
+    """Adds targets that were detected once but are hardly there: recycles them.
+
+    Args:
+        undetected: U components.
+        prob: How likely each is there, 0 for none, [N].
+        belief: About them, [N, ...].
+
+    Returns:
+        U + N components (Williams, "Hybrid Poisson and multi-Bernoulli filters", 2012).
+    """
+    weak = Undetected(safe_log(prob), belief)
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y]), undetected, weak)
+
+
 def reduce(undetected: Undetected, size: int) -> tuple[Undetected, Array]:
     """Keeps the heaviest components; returns the expected number in the others, too."""
     if undetected.log_weight.size <= size:
@@ -198,7 +214,10 @@ def reduce(undetected: Undetected, size: int) -> tuple[Undetected, Array]:
 
 
 def _born(
-    target: Target, params: Params, birth: PoissonBirth, key: Array
+    target: Target,
+    params: Params,
+    birth: PoissonBirth | MultiBernoulliBirth,
+    key: Array,
 ) -> Undetected:
     """Returns the components of births at B places."""
     places = MultiBernoulliBirth(*birth)

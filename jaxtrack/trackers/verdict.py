@@ -164,6 +164,7 @@ def report(
     log_evidence: Array,
     dropped: Array,
     log_loss: Array | float = 0.0,
+    choice: tuple[Array, Array] | None = None,
 ) -> Estimate:
     """Reports the best hypothesis, and how sure it is.
 
@@ -177,12 +178,18 @@ def report(
         log_evidence: Log-density of the scan.
         dropped: Expected number of targets that the capacities threw away.
         log_loss: How much likelier than the best of them one may be.
+        choice: Another hypothesis to report, in views of a single cluster, and which
+            trees of it, [N] (bool); see `estimators`.
     """
     prob = jnp.exp(views.log_prob)
     there = exists(forest, views.leaf)
     existence_prob = (prob * there).sum(0)
     row, tree = jnp.argmax(views.log_prob, axis=0), jnp.arange(views.label.size)
     _, shown = leaves(forest, views)
+    reported = there[row, tree] > threshold
+    if choice is not None:
+        own, reported = views.leaf[choice[0]], choice[1]
+        shown = jnp.where(own >= 0, own, shown)
     belief = jax.tree.map(lambda x: x[tree, shown], forest.belief)
     moments = jax.vmap(target.moments)(belief)
     first = _leads(views)
@@ -192,7 +199,7 @@ def report(
         mean=moments.mean,
         cov=moments.cov,
         label=forest.label,
-        exists=there[row, tree] > threshold,
+        exists=reported,
         existence_prob=existence_prob,
         mode_prob=jax.vmap(target.modes)(belief),
         effective_size=jax.vmap(target.effective_size)(belief),
