@@ -11,13 +11,19 @@ from jaxtrack import engine, models, targets
 from jaxtrack.trackers import (
     gnn,
     hypotheses,
+    hypothesis_mht,
     jpda,
     jpda_star,
     management,
+    mcmcda,
+    mht,
     nearest,
     pda,
+    pmht,
+    pmht_batch,
     set_jpda,
     single_scan,
+    undetected,
 )
 from jaxtrack.types import Scan
 
@@ -28,6 +34,14 @@ FAMILY = {
     "pda": pda.pda,
     "jipda": jpda.jipda,
     "set_jpda": functools.partial(set_jpda.set_jpda, max_events=6),
+}
+
+LINE = targets.single.single()
+LATER = {
+    "hypothesis_mht": functools.partial(hypothesis_mht.hypothesis_mht, LINE),
+    "mht": functools.partial(mht.mht, LINE, delay=2),
+    "mcmcda": functools.partial(mcmcda.mcmcda, LINE, num_scans=2),
+    "pmht": functools.partial(pmht.pmht, 3),
 }
 
 
@@ -106,6 +120,22 @@ def test_float32_is_kept_and_what_stands_in_padding_changes_nothing(name):
     assert one.mean.dtype == np.float32
     for left, right in zip(one, other, strict=True):
         np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize("name", LATER)
+def test_float32_is_kept_by_those_that_look_back(name):
+    """By the types alone: nothing is compiled."""
+    line = line_params(births("one"), known=start([0.9, 0.8]))
+    if name == "pmht":
+        params = pmht_batch.Params(line.target, line.clutter, line.start)
+    else:
+        params = undetected.Params(*line[:3], start=line.start)
+    scans = narrow(scans_of([[0.1, 5.2], [0.0]], 3))
+    told = jax.eval_shape(
+        functools.partial(engine.run, LATER[name]()), narrow(params), scans, KEY
+    )
+    floats = [x for x in told if hasattr(x, "dtype") and x.dtype.kind == "f"]
+    assert floats and all(x.dtype == np.float32 for x in floats)
 
 
 def test_padding_changes_nothing_of_hypotheses():

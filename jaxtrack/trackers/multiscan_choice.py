@@ -177,7 +177,8 @@ def remaining(choice: Choice, trees: Forest, kept: Array, stays: Array) -> Array
     leaf = jnp.where(kept[None], choice.leaf, -1)
     fits = fits & ~((choice.leaf < 0) & (kept & stays)[None])
     there = _everywhere(fits, choice.label) & (choice.log_weight > -jnp.inf)
-    weight = _weigh(trees, leaf, jnp.zeros(len(kept)), choice.label)
+    nothing = jnp.zeros(len(kept), trees.log_score.dtype)
+    weight = _weigh(trees, leaf, nothing, choice.label)
     return _total(jnp.where(there, weight, -jnp.inf), choice.label)
 
 

@@ -295,4 +295,6 @@ def _rates(params: Params, mean: Array) -> Array:
 
 
 def _dense(model: Affine) -> Affine:
-    return Affine(dense(model.matrix), model.offset, dense(model.cov))
+    cov = dense(model.cov)
+    # A matrix of constants alone has the default precision, not the parameters'.
+    return Affine(dense(model.matrix).astype(cov.dtype), model.offset, cov)
