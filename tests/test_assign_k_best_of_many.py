@@ -87,7 +87,7 @@ def test_what_is_above_the_bound_is_right_however_few_are_kept():
     for run in range(NUM):
         known = listed(log_score[run], log_weight[run])
         expected = sorted(known.values(), reverse=True)
-        sure = int((found.log_weight[run] > found.log_lost[run] + 1e-9).sum())
+        sure = int((found.log_weight[run] > found.log_lost[run] + 1e-5).sum())
         right += sure
         # Sums of scores of order 1, which may be 0.
         np.testing.assert_allclose(
@@ -98,7 +98,7 @@ def test_what_is_above_the_bound_is_right_however_few_are_kept():
             pairs = zip(found.problem[run], found.column[run].tolist(), strict=True)
             own = {(p, tuple(c)) for p, c in pairs}
             rest = [total for pair, total in known.items() if pair not in own]
-            assert max(rest) <= found.log_lost[run] + 1e-9
+            assert max(rest) <= found.log_lost[run] + 1e-5
     assert right > 2 * NUM
 
 

@@ -24,9 +24,8 @@ ROOM = {
 }
 
 
-def run(drawn, places, tracker):
+def run(params, places, tracker):
     """Runs a tracker over scans of different sizes; returns its state and evidence."""
-    params = scenes.params_of(drawn)
     scans = scenes.stacked(scenes.padded(places))
     state = tracker.init(params, jax.random.key(0))
     step = functools.partial(tracker.step, params)
@@ -51,7 +50,7 @@ def drawn(lasting=False):
 @functools.cache
 def runner(settings):
     tracker = pmbm.pmbm(scenes.target, **dict(settings))
-    return jax.jit(jax.vmap(lambda d, p: run(d, p, tracker)))
+    return jax.jit(jax.vmap(lambda d, p: run(scenes.params_of(d), p, tracker)))
 
 
 exactly = jax.jit(jax.vmap(exact))
@@ -160,7 +159,7 @@ def test_gradient_of_the_evidence_is_that_of_finite_differences():
     problem = {key: value[0] for key, value in drawn()[0].items()}
     places = [x[0] for x in drawn()[1]]
     tracker = pmbm.pmbm(scenes.target, **{**ROOM, "max_hypotheses": 6})
-    evidence = jax.jit(lambda d: run(d, places, tracker)[2])
+    evidence = jax.jit(lambda d: run(scenes.params_of(d), places, tracker)[2])
     slope = jax.jit(jax.grad(evidence))(problem)
     for name, step in itertools.product(("detect", "clutter", "births"), (1e-5,)):
         ahead, behind = (

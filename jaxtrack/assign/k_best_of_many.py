@@ -33,6 +33,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack import mixture
 from jaxtrack.assign.best import best
 from jaxtrack.types import Array
 
@@ -45,14 +46,17 @@ class Found(NamedTuple):
             so many.
         problem: [k] (int).
         column: Of each track, [k, N] (int).
-        log_lost: What nothing exceeds that is not among them, up to rounding; -inf
-            where nothing was left out.
+        log_lost: What nothing exceeds that is not among them, up to rounding in
+            float32; -inf where nothing was left out.
+        log_left: About how much was left out, all told: the best that could have come
+            of each partial event that was.
     """
 
     log_weight: Array
     problem: Array
     column: Array
     log_lost: Array
+    log_left: Array
 
 
 class _Partial(NamedTuple):
@@ -63,12 +67,14 @@ class _Partial(NamedTuple):
         problem: [B].
         free: Which detections nobody has, [B, K] (bool).
         lost: What none exceeds that was left out.
+        left: Their sum, log-scale.
     """
 
     rank: Array
     problem: Array
     free: Array
     lost: Array
+    left: Array
 
 
 def k_best_of_many(
@@ -76,7 +82,9 @@ def k_best_of_many(
 ) -> Found:
     """Finds the k heaviest pairs of a problem and a joint event.
 
-    The gradients of `log_score` and `log_weight` are those of the chosen ones.
+    Those that differ by no more than rounding in float32 may stand in for each other at
+    the end of the list. The gradients of `log_score` and `log_weight` are those of the
+    chosen ones.
 
     Args:
         log_score: [H, N, K + W], -inf where impossible; the last W columns are ways of
@@ -92,27 +100,30 @@ def k_best_of_many(
     if min(k, ways) < 1:
         raise ValueError(f"k is {k} and ways is {ways}; give at least 1")
     width = max(k, width or 2 * k)
-    fixed = jax.lax.stop_gradient(log_score)
-    begin = jax.lax.stop_gradient(log_weight)
+    # XLA on CPU finds the best of many in float32 only without sorting them all.
+    fixed, begin = jax.lax.stop_gradient((log_score, log_weight))
+    fixed, begin = fixed.astype(jnp.float32), begin.astype(jnp.float32)
     num = log_score.shape[2] - ways
     price = jax.vmap(_price, (0, None))(fixed, num)
     paid = fixed - jnp.pad(price, ((0, 0), (0, ways)))[:, None]
     gain = paid.max(2)  # [H, N]
-    rank, problem, lost = _keep(begin + gain.sum(1) + price.sum(1), width)
-    none = jnp.ones((width, num), bool)
-    partial = _Partial(rank, problem, none, lost)
+    rank, problem, *left = _keep(begin + gain.sum(1) + price.sum(1), width)
+    partial = _Partial(rank, problem, jnp.ones((width, num), bool), *left)
     own = jnp.where(gain > -jnp.inf, gain, 0.0)
     loss = jnp.moveaxis(own[..., None] - paid, 1, 0)  # [N, H, K + W]
     partial, steps = jax.lax.scan(_choose, partial, loss)
     unpaid = jnp.where(partial.free, price[partial.problem], 0.0).sum(1)
-    rank, kept, lost = _keep(partial.rank - unpaid, k)
+    rank, kept, lost, left = _keep(partial.rank - unpaid, k)
     problem, column = partial.problem[kept], _trace(*steps, kept)
     there = rank > -jnp.inf
     track = jnp.arange(log_score.shape[1])[None]
     chosen = log_score[problem[:, None], track, column]
     total = jnp.where(there[:, None], chosen, 0.0).sum(1)
     total = total + jnp.where(there, log_weight[problem], -jnp.inf)
-    return Found(total, problem, column, jnp.maximum(partial.lost, lost))
+    total, order = jax.lax.top_k(total, k)
+    log_lost = jnp.maximum(partial.lost, lost).astype(total.dtype)
+    log_left = jnp.logaddexp(partial.left, left).astype(total.dtype)
+    return Found(total, problem[order], column[order], log_lost, log_left)
 
 
 def _price(log_score: Array, num: int) -> Array:
@@ -122,14 +133,20 @@ def _price(log_score: Array, num: int) -> Array:
     return jnp.where(found.feasible, found.detection_price, 0.0)
 
 
-def _keep(rank: Array, size: int) -> tuple[Array, Array, Array]:
-    """Returns the highest ranks, whose they are, and the highest that was left out."""
+def _keep(rank: Array, size: int) -> tuple[Array, Array, Array, Array]:
+    """Keeps the highest ranks.
+
+    Returns:
+        These, whose they are, and the highest and the log of the sum of the others.
+    """
     if (short := size - rank.size) > 0:
         rank = jnp.pad(rank, (0, short), constant_values=-jnp.inf)
         at = jnp.minimum(jnp.arange(size), size - short - 1)
-        return rank, at, jnp.full((), -jnp.inf, rank.dtype)
+        none = jnp.full((), -jnp.inf, rank.dtype)
+        return rank, at, none, none
     kept, at = jax.lax.top_k(rank, size)
-    return kept, at, rank.at[at].set(-jnp.inf).max()
+    others = rank.at[at].set(-jnp.inf)
+    return kept, at, others.max(), mixture.total(others)
 
 
 def _choose(partial: _Partial, loss: Array) -> tuple[_Partial, tuple[Array, Array]]:
@@ -143,7 +160,7 @@ def _choose(partial: _Partial, loss: Array) -> tuple[_Partial, tuple[Array, Arra
     ways = loss.shape[1] - num
     free = jnp.pad(partial.free, ((0, 0), (0, ways)), constant_values=True)
     ahead = partial.rank[:, None] - loss[partial.problem]
-    rank, at, lost = _keep(jnp.where(free, ahead, -jnp.inf).ravel(), width)
+    rank, at, lost, left = _keep(jnp.where(free, ahead, -jnp.inf).ravel(), width)
     source, column = jnp.divmod(at, loss.shape[1])
     taken = column[:, None] == jnp.arange(num)[None]
     chosen = _Partial(
@@ -151,6 +168,7 @@ def _choose(partial: _Partial, loss: Array) -> tuple[_Partial, tuple[Array, Arra
         problem=partial.problem[source],
         free=partial.free[source] & ~taken,
         lost=jnp.maximum(partial.lost, lost),
+        left=jnp.logaddexp(partial.left, left),
     )
     return chosen, (source, column)
 

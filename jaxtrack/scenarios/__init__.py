@@ -15,6 +15,7 @@ from jaxtrack.scenarios import (
     parallel_pair,
     turning_aircraft,
     two_sensors,
+    williams_crossing,
     yuan2013_linear,
     yuan2013_range_bearing,
 )
@@ -27,6 +28,7 @@ MAKERS: dict[str, Maker] = {
     "manoeuvre-digraph": manoeuvre_digraph.make,
     "turning-aircraft": turning_aircraft.make,
     "two-sensors": two_sensors.make,
+    "williams-crossing": williams_crossing.make,
     "yuan2013-linear": yuan2013_linear.make,
     "yuan2013-range-bearing": yuan2013_range_bearing.make,
 }

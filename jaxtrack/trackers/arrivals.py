@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.linalg import safe_log
-from jaxtrack.models.birth import MultiBernoulliBirth, PoissonBirth
+from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.trackers import bernoulli, forest, meeting, undetected
 from jaxtrack.trackers.association import Gating, Sighting
 from jaxtrack.trackers.forest import Forest
@@ -57,12 +57,33 @@ def check(params: Params, hides: bool, recycles: bool) -> None:
                 "recycle_threshold is given and birth is a DetectionBirth, with which "
                 "nobody is undetected; give a PoissonBirth, or 0 as recycle_threshold"
             )
-    elif not bernoullis or params.undetected is not None:
+    elif not bernoullis:
         kind = type(params.birth).__name__
+        raise ValueError(f"birth is a {kind}; give a MultiBernoulliBirth")
+    elif params.undetected is not None:
         raise ValueError(
-            f"birth is a {kind} and undetected is given or not; for mbm and mbm01 give "
-            "a MultiBernoulliBirth, and None as undetected"
+            "undetected is given and births are multi-Bernoulli, with which nobody is; "
+            "give them as start"
         )
+
+
+def log_new(firsts: Firsts) -> Array:
+    """Returns what the detections count that no old track has, against clutter, [K].
+
+    The log of 1 + e / c, for e expected first detections there and clutter of density
+    c: nobody but a new target or clutter may be behind them.
+    """
+    first = firsts.log_score
+    possible = first > -jnp.inf
+    safe = jnp.where(possible, first, 0.0)
+    return jnp.where(possible, jax.nn.softplus(safe), 0.0)
+
+
+def modes(params: Params) -> Array:
+    """Returns the mode probabilities of some birth, [M]."""
+    birth = params.birth
+    driven = isinstance(birth, DetectionBirth)
+    return birth.mode_prob if driven else birth.mode_prob[0]
 
 
 def hidden(
@@ -88,15 +109,12 @@ def hidden(
         key: Random key.
     """
     met = meeting.meet(gating, target, params, trees, unseen, scan, key)
-    first = met.firsts.log_score
-    possible = first > -jnp.inf
-    log_new = jnp.where(possible, jax.nn.softplus(jnp.where(possible, first, 0.0)), 0.0)
     return Met(
         met.trees,
         met.sight,
         None,
         met.firsts,
-        log_new,
+        log_new(met.firsts),
         met.log_constant,
         next_label,
     )

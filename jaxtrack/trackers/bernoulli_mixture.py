@@ -156,7 +156,8 @@ def _step(
         settings.max_contested,
     )
     trees, hypotheses, label = _grow(settings, params, parents, met, children, scan)
-    share = mixture.total(hypotheses.log_weight) - children.log_total
+    proposed = jnp.logaddexp(children.log_total, children.log_left)
+    share = mixture.total(hypotheses.log_weight) - proposed
     hidden = state.undetected if met.firsts is None else met.firsts.missed
     if settings.recycle_threshold:
         hypotheses, hidden = _recycle(settings, trees, hypotheses, hidden)

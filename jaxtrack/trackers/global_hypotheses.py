@@ -127,7 +127,8 @@ def distinct(hypotheses: Hypotheses, size: int, num_codes: int) -> Leaves:
         num_codes: All codes are less.
     """
     weight = jnp.exp(mixture.log_normalise(hypotheses.log_weight))
-    weight = jax.lax.stop_gradient(weight)
+    # XLA on CPU finds the best of many in float32 only without sorting them all.
+    weight = jax.lax.stop_gradient(weight).astype(jnp.float32)
     heaviest = jnp.argmax(hypotheses.log_weight)
     live = hypotheses.log_weight > -jnp.inf
     place = jnp.arange(size)

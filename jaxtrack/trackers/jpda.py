@@ -53,7 +53,7 @@ def jpda(
         max_events: Instead, take as many of the likeliest joint events, and no other.
         **choices: See `options.make`.
     """
-    return options.make(target, _associate(method, max_cluster, max_events), **choices)
+    return options.make(target, rule(method, max_cluster, max_events), **choices)
 
 
 @functools.cache
@@ -73,7 +73,7 @@ def jipda(
         max_events: See `jpda`.
         **choices: See `options.make`.
     """
-    associate = _associate(method, max_cluster, max_events)
+    associate = rule(method, max_cluster, max_events)
     return options.make(target, associate, weighs=True, **choices)
 
 
@@ -83,9 +83,14 @@ def check(max_events: int) -> None:
         raise ValueError(f"max_events is {max_events}; give at least 1")
 
 
-def _associate(
+def rule(
     method: str, max_cluster: int, max_events: int | None
 ) -> Callable[[Array], Association]:
+    """Makes a function from scores [N, K + 1] to an association; see `jpda`.
+
+    Raises:
+        ValueError: A setting that makes no sense.
+    """
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; give one of {', '.join(METHODS)}")
     if max_cluster < 1:

@@ -39,6 +39,7 @@ class Offspring(NamedTuple):
             K + 1 if the child says that it is not there, [E, N].
         taken: Which detections old trees have, [E, K] (bool).
         log_total: Log-weight of all that were found.
+        log_left: About that of all that were not.
         log_loss: How much likelier than the best of them one may be that was not.
         dropped: Expected number of detections that were not given to their trees, for
             want of room among the contested ones.
@@ -49,6 +50,7 @@ class Offspring(NamedTuple):
     column: Array
     taken: Array
     log_total: Array
+    log_left: Array
     log_loss: Array
     dropped: Array
 
@@ -109,6 +111,7 @@ def follow(
         column=none.at[:, contest.tree].set(some),
         taken=(some[:, :, None] == jnp.arange(last)[None, None]).any(1),
         log_total=mixture.total(found.log_weight),
+        log_left=found.log_left,
         log_loss=jnp.maximum(found.log_lost - best, 0.0),
         dropped=contest.dropped,
     )
