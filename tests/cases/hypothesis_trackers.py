@@ -8,7 +8,7 @@ from cases.trackers import array
 
 from jaxtrack.models import birth
 from jaxtrack.targets import imm, single
-from jaxtrack.trackers import hypothesis_mht, mht, rmm_mht, undetected
+from jaxtrack.trackers import hypothesis_mht, mht, pmbm, rmm_mht, undetected
 
 
 def line_params(target, num_modes):
@@ -74,5 +74,12 @@ CASES = {
         max_children=4,
     ),
     "mht_detection_birth": driven_case,
+    "pmbm": lambda: line_case(
+        pmbm.pmbm,
+        single.single(),
+        trackers.single_params(),
+        1,
+        max_hypotheses=12,
+    ),
     "rmm_mht": rmm_case,
 }
