@@ -21,11 +21,9 @@ RECYCLE = 0.3
 def params_of(drawn):
     """Two targets may be known before the first scan, and others undetected."""
     plain = scenes.params_of(drawn)
+    covs = jnp.tile(4 * jnp.eye(2), (2, 1, 1))
     places = birth.MultiBernoulliBirth(
-        drawn["prob"],
-        drawn["mean"],
-        jnp.tile(plain.birth.cov, (2, 1, 1)),
-        jnp.ones((2, 1)),
+        drawn["prob"], drawn["mean"], covs, jnp.ones((2, 1))
     )
     return plain._replace(start=places)
 
@@ -92,7 +90,9 @@ def test_recycling_keeps_the_expected_number(name):
 
 def test_recycling_needs_places_where_nobody_is_detected():
     given = params_of({key: x[0] for key, x in drawn()[0].items()})
-    births = birth.DetectionBirth(0.1, 0.5, jnp.ones(1), jnp.zeros(0), jnp.ones(1))
+    births = birth.DetectionBirth(
+        jnp.array(0.1), jnp.array(0.5), jnp.ones(1), jnp.zeros(0), jnp.ones(1)
+    )
     given = given._replace(birth=births, undetected=None)
     tracker = pmb.pmb(scenes.target, recycle_threshold=0.1)
     with pytest.raises(ValueError, match="recycle_threshold is given and birth is a"):

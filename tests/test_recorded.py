@@ -274,7 +274,28 @@ def test_settings_reach_the_tracker_of_hypotheses():
     assert made.gating.prob == 0.9
 
 
-@pytest.mark.parametrize("name", sorted({*settings.ALGORITHMS} - {"cbmember", "mht"}))
+def test_settings_reach_the_tracker_of_mixtures():
+    chosen = settings.Algorithm(
+        name="pmbm",
+        max_tracks=7,
+        gate_prob=0.9,
+        report_threshold=0.4,
+        max_hypotheses=9,
+        max_leaves=5,
+        leaf_threshold=1e-4,
+        prune_threshold=1e-2,
+    )
+    made = tracking.algorithm(chosen, imm.imm()).step.args[0]
+    assert (made.max_hypotheses, made.max_leaves, made.report_threshold) == (9, 5, 0.4)
+    limits = made.thinning
+    assert (limits.max_tracks, limits.prune_threshold) == (7, 1e-4)
+    assert (limits.exist_threshold, made.gating.prob) == (1e-2, 0.9)
+
+
+FOLLOWERS = {"cbmember", "mht", "pmbm"}
+
+
+@pytest.mark.parametrize("name", sorted({*settings.ALGORITHMS} - FOLLOWERS))
 def test_settings_reach_the_tracker_that_they_name(name):
     chosen = settings.Algorithm(
         name=name,

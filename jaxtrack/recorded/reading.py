@@ -42,7 +42,11 @@ _BOUNDS = {
         _BELOW_ONE,
     ),
     **dict.fromkeys(
-        ("max_tracks", "max_births", "max_parents", "max_detections"), _COUNT
+        (
+            *("max_tracks", "max_births", "max_parents", "max_detections"),
+            "max_hypotheses",
+        ),
+        _COUNT,
     ),
     "max_leaves": _Bound("2 or more", lambda x: x >= 2),
     **dict.fromkeys(

@@ -15,7 +15,7 @@ from jaxtrack.data.errors import DataError
 
 ALGORITHMS = (
     *("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda"),
-    *("mht", "jpda-star", "set-jpda"),  # the last two only for a few targets
+    *("mht", "pmbm", "jpda-star", "set-jpda"),  # the last two only for a few targets
 )
 
 Number = TypeVar("Number", int, float)
@@ -112,6 +112,8 @@ class Algorithm(NamedTuple):
             `trackers.management.Existence`.
         num_scans, max_leaves, leaf_threshold: Of `trackers.mht`, which see; the last is
             its `prune_threshold`.
+        max_hypotheses: Of `trackers.pmbm`, which has `max_leaves`, too; there
+            `leaf_threshold` is for hypotheses and `prune_threshold` for tracks.
     """
 
     name: str = "cbmember"
@@ -133,6 +135,7 @@ class Algorithm(NamedTuple):
     num_scans: int = 2
     max_leaves: int = 6
     leaf_threshold: float = 1e-5
+    max_hypotheses: int = 50
 
 
 class Score(NamedTuple):

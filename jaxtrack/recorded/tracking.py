@@ -49,6 +49,7 @@ from jaxtrack.trackers import (
     nearest,
     options,
     pda,
+    pmbm,
     set_jpda,
     single_scan,
     undetected,
@@ -64,7 +65,11 @@ CERTAIN: dict[str, Callable[..., Tracker]] = {
     "set-jpda": set_jpda.set_jpda,
 }
 INTEGRATED: dict[str, Callable[..., Tracker]] = {"ipda": pda.ipda, "jipda": jpda.jipda}
-FAMILIES: dict[str, Any] = {"cbmember": cbmember, "mht": undetected}
+FAMILIES: dict[str, Any] = {
+    "cbmember": cbmember,
+    "mht": undetected,
+    "pmbm": undetected,
+}
 
 
 class Result(NamedTuple):
@@ -188,17 +193,8 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
         return cbmember.cbmember(
             target, **{name: given[name] for name in own if name in given}
         )
-    if chosen.name == "mht":
-        return mht.mht(
-            target,
-            num_scans=chosen.num_scans,
-            max_hypotheses=8,
-            max_tracks=known(chosen.max_tracks),
-            max_leaves=chosen.max_leaves,
-            gate_prob=chosen.gate_prob,
-            prune_threshold=chosen.leaf_threshold,
-            report_threshold=chosen.report_threshold,
-        )
+    if chosen.name in ("mht", "pmbm"):
+        return _follower(chosen, target)
     choices = options.Options(
         max_tracks=known(chosen.max_tracks),
         max_births=known(chosen.max_births),
@@ -215,6 +211,31 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
         chosen.drop_scans,
     )
     return CERTAIN[chosen.name](target, **choices)
+
+
+def _follower(chosen: Algorithm, target: Target) -> Tracker:
+    """Makes one of those that follow hypotheses."""
+    if chosen.name == "mht":
+        return mht.mht(
+            target,
+            num_scans=chosen.num_scans,
+            max_hypotheses=8,
+            max_tracks=known(chosen.max_tracks),
+            max_leaves=chosen.max_leaves,
+            gate_prob=chosen.gate_prob,
+            prune_threshold=chosen.leaf_threshold,
+            report_threshold=chosen.report_threshold,
+        )
+    return pmbm.pmbm(
+        target,
+        max_hypotheses=chosen.max_hypotheses,
+        max_tracks=known(chosen.max_tracks),
+        max_leaves=chosen.max_leaves,
+        gate_prob=chosen.gate_prob,
+        prune_threshold=chosen.leaf_threshold,
+        exist_threshold=chosen.prune_threshold,
+        report_threshold=chosen.report_threshold,
+    )
 
 
 run = functools.partial(jax.jit, static_argnums=0)(engine.run)
