@@ -149,7 +149,7 @@ def test_merging_changes_little_where_histories_are_alike():
 def test_the_heaviest_hypothesis_always_has_its_leaves():
     code = jnp.array([[1, 1, 1], [2, 2, 1], [2, 1, 3]])
     rows = Hypotheses(jnp.log(jnp.array([0.4, 0.3, 0.3])), code)
-    found = jax.jit(global_hypotheses.distinct, static_argnums=1)(rows, 1)
+    found = jax.jit(global_hypotheses.distinct, static_argnums=(1, 2))(rows, 1, 4)
     assert found.hypotheses.log_weight[0] == rows.log_weight[0]
     np.testing.assert_array_equal(found.hypotheses.leaf[0], 0)
     assert (found.hypotheses.log_weight[1:] == -jnp.inf).all()
@@ -191,6 +191,7 @@ def test_what_remains_is_what_can_still_be_said():
         best=jnp.array([1, -1]),
         log_joint=weight,
         log_loss=jnp.zeros(()),
+        claimed=jnp.zeros(2, bool),
     )
     kept, sure = jnp.array([True, False]), jnp.zeros(2, bool)
     remaining = jax.jit(multiscan_choice.remaining)

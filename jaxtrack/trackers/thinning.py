@@ -86,15 +86,35 @@ def thin(
         trees, hypotheses = merge_leaves(
             target, limits.merge_threshold, trees, hypotheses
         )
-    there = verdict.exists(trees, hypotheses.leaf)
-    leaf = jnp.where(there > limits.exist_threshold, hypotheses.leaf, -1)
-    prob = jnp.exp(hypotheses.log_weight)
-    number = (prob[:, None] * there).sum(0)
-    fading = jnp.where(leaf < 0, there, 0.0)
-    held = (leaf >= 0).any(0)
+    prob = jnp.exp(hypotheses.log_weight)[:, None]
+    some, leaf, _, lost = strongest(limits, trees, hypotheses.leaf, prob)
+    merged = global_hypotheses.merge(Hypotheses(hypotheses.log_weight, leaf))
+    return some, merged, lost
+
+
+def strongest(
+    limits: Thinning, trees: Forest, leaf: Array, prob: Array
+) -> tuple[Forest, Array, Array, Array]:
+    """Keeps the trees most likely to be a target that is still there.
+
+    Args:
+        limits: What to keep.
+        trees: N trees with L leaves.
+        leaf: Which one each hypothesis has of each tree, -1 for none, [H, N].
+        prob: Of the hypotheses, about each tree or all, [H, N] or [H, 1].
+
+    Returns:
+        `max_tracks` trees, their leaves, [H, max_tracks], which they were,
+        [max_tracks], and the expected number of targets that went with the others.
+    """
+    there = verdict.exists(trees, leaf)
+    still = jnp.where(there > limits.exist_threshold, leaf, -1)
+    number = (prob * there).sum(0)
+    fading = jnp.where(still < 0, there, 0.0)
+    held = (still >= 0).any(0)
     likely, kept = jax.lax.top_k(jnp.where(held, number, -1.0), limits.max_tracks)
     lost = jnp.where(held, number, 0.0).sum() - jnp.maximum(likely, 0.0).sum()
-    lost = jnp.maximum(lost, 0.0) + (prob[:, None] * fading).sum()
+    lost = jnp.maximum(lost, 0.0) + (prob * fading).sum()
     some = jax.tree.map(lambda x: x[kept], trees)
     gone = likely < 0
     some = some._replace(
@@ -103,8 +123,7 @@ def thin(
         label=jnp.where(gone, -1, some.label),
         age=jnp.where(gone, 0, some.age),
     )
-    merged = global_hypotheses.merge(Hypotheses(hypotheses.log_weight, leaf[:, kept]))
-    return some, merged, lost
+    return some, still[:, kept], kept, lost
 
 
 def merge_leaves(

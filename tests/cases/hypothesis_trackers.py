@@ -8,7 +8,14 @@ from cases.trackers import array
 
 from jaxtrack.models import birth
 from jaxtrack.targets import imm, single
-from jaxtrack.trackers import hypothesis_mht, mht, pmbm, rmm_mht, undetected
+from jaxtrack.trackers import (
+    clustered_mht,
+    hypothesis_mht,
+    mht,
+    pmbm,
+    rmm_mht,
+    undetected,
+)
 
 
 def line_params(target, num_modes):
@@ -72,6 +79,17 @@ CASES = {
         1,
         max_hypotheses=12,
         max_children=4,
+    ),
+    "clustered_mht": lambda: line_case(
+        clustered_mht.clustered_mht,
+        single.single(),
+        trackers.single_params(),
+        1,
+        max_hypotheses=12,
+        max_children=32,
+        max_clusters=3,
+        max_members=4,
+        max_detections=4,
     ),
     "mht_detection_birth": driven_case,
     "pmbm": lambda: line_case(

@@ -249,7 +249,13 @@ def hypothesis_case(name):
     return hypothesis_trackers.CASES[name]()
 
 
-HYPOTHESES = ("hypothesis_mht", "mht_detection_birth", "rmm_mht", "pmbm")
+HYPOTHESES = (
+    "hypothesis_mht",
+    "clustered_mht",
+    "mht_detection_birth",
+    "rmm_mht",
+    "pmbm",
+)
 CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles"}
