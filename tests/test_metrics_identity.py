@@ -40,7 +40,7 @@ def test_scores_follow_the_definitions(seed, max_distance):
     result = scores(frames, max_distance)
     num_truths = sum(len(truth) for truth, _ in frames)
     num_reports = sum(len(track) for _, track in frames)
-    num_switches, num_matched = reference.switches(frames, max_distance)
+    num_switches, num_matched, far = reference.switches(frames, max_distance)
 
     expected = reference.idf1(frames, max_distance)
     np.testing.assert_allclose(result[:3], expected, rtol=1e-12)
@@ -49,11 +49,14 @@ def test_scores_follow_the_definitions(seed, max_distance):
     assert result.num_missed == num_truths - num_matched
     assert result.num_false == num_reports - num_matched
     assert result.num_truths == num_truths
+    wrong = (num_truths - num_matched) + (num_reports - num_matched) + num_switches
+    np.testing.assert_allclose(result.mota, 1 - wrong / num_truths, rtol=1e-12)
+    np.testing.assert_allclose(result.motp, np.mean(far), rtol=1e-12)
 
 
 def test_perfect_tracks_score_one():
     frames = [({5: (k, 0), 9: (k, 50)}, {1: (k, 0), 2: (k, 50)}) for k in range(4)]
-    assert scores(frames) == (1.0, 1.0, 1.0, 0, 8, 0, 0, 8)
+    assert scores(frames) == (1.0, 1.0, 1.0, 0, 8, 0, 0, 8, 1.0, 0.0)
 
 
 def test_two_labels_that_change_places_are_two_switches():
@@ -114,6 +117,8 @@ def test_nothing_to_get_wrong_scores_one():
     assert scores([({}, {})])[:4] == (1.0, 1.0, 1.0, 0)
     assert scores([({1: (0, 0)}, {})])[:3] == (0.0, 1.0, 0.0)
     assert scores([({}, {1: (0, 0)})])[:3] == (0.0, 0.0, 1.0)
+    assert scores([({}, {})])[-2:] == (1.0, 0.0)
+    assert scores([({}, {1: (0, 0)})])[-2:] == (0.0, 0.0)
 
 
 def test_a_position_that_is_not_finite_is_near_nothing():

@@ -1,4 +1,4 @@
-"""Pairs the members of two masked sets of points exactly, for `ospa` and `gospa`.
+"""Pairs the members of two masked sets exactly, for `ospa`, `gospa` and `ospa2`.
 
 The solver is `jaxtrack.assign.best`. Both metrics charge a pair min(d, c)^p, d the
 Euclidean distance and c the cut-off, and both are least under the same pairing: as many
@@ -79,12 +79,33 @@ def match(
     chex.assert_shape(estimate, (num_estimate, dim))
     chex.assert_shape(estimate_exists, (num_estimate,))
 
-    both = truth_exists[:, None] & estimate_exists[None]
     distance = distances(
         jnp.where(truth_exists[:, None], truth, 0),
         jnp.where(estimate_exists[:, None], estimate, 0),
     )
+    return pair(distance, truth_exists, estimate_exists, cutoff, order)
 
+
+def pair(
+    distance: Array,
+    truth_exists: Array,
+    estimate_exists: Array,
+    cutoff: Array | float,
+    order: Array | float,
+) -> Pairs:
+    """Pairs two masked sets of anything, of which all distances are known.
+
+    Args:
+        distance: [N, L].
+        truth_exists: [N] (bool).
+        estimate_exists: [L] (bool).
+        cutoff: Positive, in the unit of the distance.
+        order: At least 1.
+
+    Returns:
+        The pairs, ordered by truth slot.
+    """
+    both = truth_exists[:, None] & estimate_exists[None]
     # What is not close stays without a partner, at the price of the cut-off: 1 in
     # units of it, in which float32 carries any scale.
     close = both & (distance < cutoff)
@@ -92,7 +113,7 @@ def match(
     price = jnp.where(close, -relative, -jnp.inf)
     column = best(jnp.pad(price, ((0, 0), (0, 1)), constant_values=-1)).column
 
-    row = jnp.arange(num_truth)
+    row = jnp.arange(len(distance))
     close = jnp.pad(close, ((0, 0), (0, 1)))
     distance = jnp.where(close, jnp.pad(distance, ((0, 0), (0, 1))), cutoff)
     return Pairs(

@@ -1,10 +1,10 @@
-"""Whether tracks keep to their targets: IDF1 and identity switches. Runs on the host.
+"""Whether tracks keep to their targets: IDF1 and CLEAR MOT. Runs on the host.
 
 IDF1 pairs whole true trajectories with whole tracks, one to one, so that as many
 detections as possible are explained, and then counts over all frames. Switches are
 counted frame by frame: a target keeps the label it had while that label is near
 enough, otherwise it takes one from a matching of what is left, and each change of its
-label is a switch.
+label is a switch. MOTA and MOTP sum that matching up.
 
     >>> import numpy as np
     >>> from jaxtrack.metrics import identity
@@ -18,7 +18,7 @@ label is a switch.
 References: Ristani, Solera, Zou, Cucchiara and Tomasi, "Performance measures and a
 data set for multi-target, multi-camera tracking", ECCV workshops, 2016 (IDF1);
 Bernardin and Stiefelhagen, "Evaluating multiple object tracking performance: the
-CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008 (switches).
+CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008.
 """
 
 import math
@@ -49,8 +49,6 @@ class Frame(NamedTuple):
 class IdScores(NamedTuple):
     """Scores over all frames. A ratio 0 / 0 (nothing to get wrong) is 1.
 
-    MOTA is 1 - (num_missed + num_false + num_switches) / num_truths.
-
     Attributes:
         idf1: Share of truths and reports that the right identity explains, 0 to 1.
         idp: The same share of the reports alone (precision).
@@ -60,6 +58,10 @@ class IdScores(NamedTuple):
         num_missed: Truths not so matched.
         num_false: Reports not so matched.
         num_truths: Truths in all frames.
+        mota: 1 - (num_missed + num_false + num_switches) / num_truths, at most 1; where
+            there are no truths, 1 if nothing is reported either and else 0.
+        motp: Mean distance of the matched, in the unit of the points; 0 if there are
+            none.
     """
 
     idf1: float
@@ -70,6 +72,8 @@ class IdScores(NamedTuple):
     num_missed: int
     num_false: int
     num_truths: int
+    mota: float
+    motp: float
 
 
 class _Near(NamedTuple):
@@ -101,8 +105,8 @@ def id_scores(frames: Iterable[Frame], max_distance: float) -> IdScores:
             f"max_distance is {max_distance}; it must be positive and finite."
         )
     frames = list(frames)
-    targets = _indices([frame.true_id for frame in frames], "true_id")
-    tracks = _indices([frame.label for frame in frames], "label")
+    targets = numbered([frame.true_id for frame in frames], "true_id")
+    tracks = numbered([frame.label for frame in frames], "label")
     nears = [
         _measure(target, track, frame, max_distance)
         for target, track, frame in zip(targets, tracks, frames, strict=True)
@@ -110,7 +114,8 @@ def id_scores(frames: Iterable[Frame], max_distance: float) -> IdScores:
     num_truths = sum(near.target.size for near in nears)
     num_reports = sum(near.track.size for near in nears)
     num_explained = _explained(nears)
-    num_matched, num_switches = _follow(nears, max_distance)
+    num_matched, num_switches, far = _follow(nears, max_distance)
+    num_wrong = num_truths + num_reports - 2 * num_matched + num_switches
     return IdScores(
         idf1=_ratio(2 * num_explained, num_truths + num_reports),
         idp=_ratio(num_explained, num_reports),
@@ -120,6 +125,8 @@ def id_scores(frames: Iterable[Frame], max_distance: float) -> IdScores:
         num_missed=num_truths - num_matched,
         num_false=num_reports - num_matched,
         num_truths=num_truths,
+        mota=1 - num_wrong / num_truths if num_truths else float(not num_reports),
+        motp=far / num_matched if num_matched else 0.0,
     )
 
 
@@ -127,8 +134,16 @@ def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else 1.0
 
 
-def _indices(names: Sequence[np.ndarray], what: str) -> list[np.ndarray]:
-    """Numbers the identities from 0 in each frame's array."""
+def numbered(names: Sequence[np.ndarray], what: str) -> list[np.ndarray]:
+    """Numbers the identities in the arrays of all frames from 0.
+
+    Args:
+        names: Of each frame, each identity at most once.
+        what: Their name in an error.
+
+    Raises:
+        ValueError: An identity is twice in a frame.
+    """
     names = [np.asarray(name) for name in names]
     for time, name in enumerate(names):
         if np.unique(name).size < name.size:
@@ -175,24 +190,32 @@ def _explained(nears: Sequence[_Near]) -> int:
     return int(together[rows, columns].sum())
 
 
-def _follow(nears: Sequence[_Near], max_distance: float) -> tuple[int, int]:
-    """Counts matches and switches frame by frame.
+def _follow(nears: Sequence[_Near], max_distance: float) -> tuple[int, int, float]:
+    """Counts matches and switches frame by frame, and sums the distances of matches.
 
     A target's last label is remembered over any gap. Where two targets remember the
     same one, the target that had it last goes first.
     """
-    num_matched = num_switches = 0
+    num_matched, num_switches, far = 0, 0, 0.0
     last: dict[int, tuple[int, int]] = {}  # target: (time, track)
     for time, near in enumerate(nears):
         row, column = _keep(near, last)
         more_row, more_column = _match(near, row, column, max_distance)
         row, column = row + more_row, column + more_column
         num_matched += len(row)
+        matched = set(zip(row, column, strict=True))
+        far += sum(
+            distance
+            for *pair, distance in zip(
+                near.row, near.column, near.distance, strict=True
+            )
+            if tuple(pair) in matched
+        )
         pairs = zip(near.target[row].tolist(), near.track[column].tolist(), strict=True)
         for target, track in pairs:
             num_switches += target in last and last[target][1] != track
             last[target] = (time, track)
-    return num_matched, num_switches
+    return num_matched, num_switches, far
 
 
 def _keep(near: _Near, last: dict[int, tuple[int, int]]) -> tuple[list[int], list[int]]:

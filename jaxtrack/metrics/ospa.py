@@ -72,6 +72,22 @@ def ospa(
     pairs = assignment.match(
         truth, truth_exists, estimate, estimate_exists, cutoff, order
     )
+    return of_pairs(pairs, cutoff, order)
+
+
+def of_pairs(
+    pairs: assignment.Pairs, cutoff: Array | float, order: Array | float
+) -> Ospa:
+    """Measures the OSPA distance of two sets that are paired.
+
+    Args:
+        pairs: From `jaxtrack.metrics.assignment`, with the same cut-off and order.
+        cutoff: c.
+        order: p.
+
+    Returns:
+        Three scalars.
+    """
     larger = jnp.maximum(pairs.num_truth, pairs.num_estimate)
     smaller = jnp.minimum(pairs.num_truth, pairs.num_estimate)
 

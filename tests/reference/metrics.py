@@ -92,9 +92,10 @@ def idf1(frames, max_distance):
 def switches(frames, max_distance):
     """Bernardin and Stiefelhagen 2008, steps 1 and 2 of section 2.1.3.
 
-    Returns the number of switches and of matches.
+    Returns the number of switches and of matches, and the distances of these.
     """
     num_switches = num_matches = 0
+    distances = []
     mapping, when = {}, {}
     for time, (truth, track) in enumerate(frames):
         kept = {}
@@ -118,4 +119,92 @@ def switches(frames, max_distance):
         for name, label in [*kept.items(), *best[2]]:
             mapping[name], when[name] = label, time
             num_matches += 1
-    return num_switches, num_matches
+            distances.append(gap(truth[name], track[label]))
+    return num_switches, num_matches, distances
+
+
+def track_distance(f, g, c, q, weight):
+    """Beard, Vo and Vo 2020: the base distance of two lists of points or None."""
+    total = share = 0.0
+    for x, y, w in zip(f, g, weight, strict=True):
+        if x is None and y is None:
+            continue
+        share += w
+        both = x is not None and y is not None
+        total += w * (min(gap(x, y), c) if both else c) ** q
+    return (total / share) ** (1 / q) if share else 0.0
+
+
+def ospa2(F, G, c, p, q, weight):
+    """Beard, Vo and Vo 2020: OSPA with the base distance above, all pairings tried."""
+    F, G = (
+        [
+            f
+            for f in X
+            if any(x is not None for x, w in zip(f, weight, strict=True) if w)
+        ]
+        for X in (F, G)
+    )
+    if len(F) > len(G):
+        F, G = G, F
+    m, n = len(F), len(G)
+    if n == 0:
+        return 0.0
+    least = math.inf
+    for chosen in itertools.permutations(range(n), m):
+        total = 0.0
+        for i in range(m):
+            total += track_distance(F[i], G[chosen[i]], c, q, weight) ** p
+        least = min(least, total)
+    return ((least + c**p * (n - m)) / n) ** (1 / p)
+
+
+def hota(frames, c):
+    """Luiten et al. 2021 for similarities max(0, 1 - d / c), all matchings tried.
+
+    A(c) of a true positive is written out. Returns the means over 19 thresholds of
+    HOTA, DetA and AssA.
+    """
+
+    def similarity(x, y):
+        return max(0.0, 1 - gap(x, y) / c)
+
+    shared, of_truth, of_track = {}, {}, {}
+    for truth, track in frames:
+        for a in truth:
+            of_truth[a] = of_truth.get(a, 0) + 1
+        for b in track:
+            of_track[b] = of_track.get(b, 0) + 1
+        for a in truth:
+            for b in track:
+                here = similarity(truth[a], track[b])
+                around = sum(similarity(truth[k], track[b]) for k in truth)
+                around += sum(similarity(truth[a], track[k]) for k in track) - here
+                if around > 0:
+                    shared[a, b] = shared.get((a, b), 0.0) + here / around
+
+    matched = []
+    for truth, track in frames:
+        best = -1.0, []
+        for pairs in partial_pairings(list(truth), list(track)):
+            worth = 0.0
+            for a, b in pairs:
+                together = shared.get((a, b), 0.0)
+                fit = together / (of_truth[a] + of_track[b] - together)
+                worth += fit * similarity(truth[a], track[b])
+            if worth > best[0]:
+                best = worth, pairs
+        matched.append([(a, b, similarity(truth[a], track[b])) for a, b in best[1]])
+
+    sums = [0.0, 0.0, 0.0]
+    for k in range(1, 20):
+        hits = [(a, b) for pairs in matched for a, b, s in pairs if s >= k / 20]
+        quality = 0.0
+        for a, b in hits:
+            tpa = sum(hit == (a, b) for hit in hits)
+            quality += tpa / (of_truth[a] + of_track[b] - tpa)
+        tp = len(hits)
+        everything = sum(of_truth.values()) + sum(of_track.values()) - tp
+        scores = math.sqrt(quality / everything), tp / everything, quality / max(tp, 1)
+        sums = [x + y / 19 for x, y in zip(sums, scores, strict=True)]
+    return sums
