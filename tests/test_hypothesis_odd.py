@@ -191,6 +191,7 @@ def test_what_remains_is_what_can_still_be_said():
         best=jnp.array([1, -1]),
         log_joint=weight,
         log_loss=jnp.zeros(()),
+        claimed=jnp.zeros(2, bool),
     )
     kept, sure = jnp.array([True, False]), jnp.zeros(2, bool)
     remaining = jax.jit(multiscan_choice.remaining)

@@ -135,7 +135,8 @@ def test_float32_is_kept_by_those_that_look_back(name):
         functools.partial(engine.run, LATER[name]()), narrow(params), scans, KEY
     )
     floats = [x for x in told if hasattr(x, "dtype") and x.dtype.kind == "f"]
-    assert floats and all(x.dtype == np.float32 for x in floats)
+    assert floats
+    assert all(x.dtype == np.float32 for x in floats)
 
 
 def test_padding_changes_nothing_of_hypotheses():

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtrack import mixture
 from jaxtrack.assign import multiscan
 from jaxtrack.assign.multiscan.problem import Problem
-from jaxtrack.trackers import verdict
+from jaxtrack.trackers import first_claims, verdict
 from jaxtrack.trackers.forest import Forest
 from jaxtrack.types import Array
 
@@ -36,6 +36,8 @@ class Choice(NamedTuple):
         log_joint: Weights of the likeliest hypotheses about all trees together, [H].
         log_loss: How much better than the best of them another may be, the log of a
             ratio of weights; 0 if there is none.
+        claimed: Trees that are nothing only where their first detection is another's,
+            [N] (bool).
     """
 
     leaf: Array
@@ -44,6 +46,7 @@ class Choice(NamedTuple):
     best: Array
     log_joint: Array
     log_loss: Array
+    claimed: Array
 
     @property
     def log_total(self) -> Array:
@@ -65,18 +68,26 @@ LOSS = 1e4
 
 ROUNDING = 100.0  # errors of a sum
 
-Chooser = Callable[[Forest, Array, int], Choice]
+# What a Bernoulli track pays, in nats, to be nothing, and who has its first detection
+# earns: so much is no hypothesis worth that has it twice, and so little costs few
+# digits of the sum.
+CLAIM = 200.0
+
+Chooser = Callable[[Forest, Array, Array, int], Choice]
 
 
-def chooser(solver: str, max_hypotheses: int) -> Chooser:
-    """Returns a function (trees, sure [N], num_detections) -> `Choice`.
+def chooser(solver: str, max_hypotheses: int, bernoulli: bool = False) -> Chooser:
+    """Returns a function (trees, sure [N], held [N], num_detections) -> `Choice`.
 
-    `sure` trees, whose first leaves are missed in the scan, are in every hypothesis
-    unless their leaves leave no room for it; the others may be nothing.
+    `sure` trees are in every hypothesis unless their leaves leave no room for it; the
+    others may be nothing. `held` ones are, with their first leaves, a hypothesis that
+    is possible at any rate; the first leaf of a sure one is missed in the scan.
 
     Args:
         solver: "lagrangian", "decomposition", "greedy" or "exact".
         max_hypotheses: H; with 1 only the best is found.
+        bernoulli: Whether a track is nothing only where its first detection belongs to
+            another, see `first_claims`.
 
     Raises:
         ValueError: There is no such solver.
@@ -89,24 +100,26 @@ def chooser(solver: str, max_hypotheses: int) -> Chooser:
     }
     if solver not in solvers:
         raise ValueError(f"solver is {solver!r}; give one of {', '.join(solvers)}")
-    return functools.partial(_choose, solvers[solver], max_hypotheses)
+    return functools.partial(_choose, solvers[solver], max_hypotheses, bernoulli)
 
 
 def _choose(
-    solve: Callable, max_hypotheses: int, trees: Forest, sure: Array, num: int
+    solve: Callable,
+    max_hypotheses: int,
+    bernoulli: bool,
+    trees: Forest,
+    sure: Array,
+    held: Array,
+    num: int,
 ) -> Choice:
     """Finds the best hypothesis, and others."""
-    fixed = jax.lax.stop_gradient(trees.log_score)
-    missed = trees.log_score[:, 0]  # of a sure tree, in the best hypothesis so far
-    lost = jnp.where(sure & (missed > -jnp.inf), missed - LOSS, 0.0)
-    none = jnp.where(trees.label < 0, -jnp.inf, jax.lax.stop_gradient(lost))
-    score = jnp.concatenate([fixed, none[:, None].astype(fixed.dtype)], axis=1)
-    past = jnp.pad(trees.past, ((0, 0), (0, 1), (0, 0)), constant_values=-1)
-    problem = Problem(score, past)
+    problem, lost, begun = _problem(bernoulli, trees, sure, num)
+    none = problem.log_score[:, -1]
     found = solve(problem, num)
     label = multiscan.problem.label(problem, num)
     # Where a solver finds nothing there is what is possible at any rate.
-    safe = jnp.where(sure, 0, jnp.where(trees.label < 0, -1, score.shape[1] - 1))
+    last = problem.log_score.shape[1] - 1
+    safe = jnp.where(held, 0, jnp.where(trees.label < 0, -1, last))
     leaf = jnp.stack([found.leaf, safe.astype(jnp.int32)])
     possible = _possible(problem, found.leaf, num, label)
     there = jnp.stack([possible, jnp.ones_like(possible)])
@@ -119,20 +132,47 @@ def _choose(
         there = jnp.concatenate([there, beam.log_score > -jnp.inf])
     there = there & ~_repeated(leaf, there, trees.label < 0, label)
     leaf = jnp.where(leaf < trees.log_score.shape[1], leaf, -1)
+    places = num * trees.past.shape[2]
+    claimed = begun < places
+    if bernoulli:
+        used = first_claims.places(trees, num)
+        free = first_claims.free(begun, used, leaf, places)
+        there = there & _everywhere(~free, label)
     log_weight = jnp.where(there, _weigh(trees, leaf, lost, label), -jnp.inf)
     best = leaf[jnp.argmax(log_weight, axis=0), jnp.arange(len(none))]
     top = log_weight.max(0)
     total = jnp.where(label == jnp.arange(len(none)), top, 0.0).sum()
     log_loss = jnp.maximum(found.log_bound - jax.lax.stop_gradient(total), 0.0)
     if beam is None:
-        return Choice(best[None], top[None], label, best, total[None], log_loss)
+        one = best[None], top[None], label, best, total[None]
+        return Choice(*one, log_loss, claimed)
     log_joint = multiscan.beam.together(beam).log_score
     # The lists by clusters may lack the best, where the solver has it.
     slack = ROUNDING * jnp.finfo(total.dtype).eps * jnp.abs(total)
     found_more = total > log_joint[0] + slack
     with_best = jnp.concatenate([total[None], log_joint[:-1]])
     log_joint = jnp.where(found_more, with_best, log_joint)
-    return Choice(leaf, log_weight, label, best, log_joint, log_loss)
+    return Choice(leaf, log_weight, label, best, log_joint, log_loss, claimed)
+
+
+def _problem(
+    bernoulli: bool, trees: Forest, sure: Array, num: int
+) -> tuple[Problem, Array, Array]:
+    """Returns what to solve, what trees that are nothing weigh, and their claims."""
+    fixed = jax.lax.stop_gradient(trees.log_score)
+    missed = trees.log_score[:, 0]  # of a sure tree, in the best hypothesis so far
+    lost = jnp.where(sure & (missed > -jnp.inf), missed - LOSS, 0.0)
+    none = jnp.where(trees.label < 0, -jnp.inf, jax.lax.stop_gradient(lost))
+    places = num * trees.past.shape[2]
+    begun = jnp.full(len(sure), places)
+    if bernoulli:
+        begun = first_claims.begun(trees, sure, num)
+        used = first_claims.places(trees, num)
+        fixed = fixed + CLAIM * first_claims.earned(begun, used, places)
+        none = none - jnp.where(begun < places, CLAIM, 0.0)
+    score = jnp.concatenate([fixed, none[:, None].astype(fixed.dtype)], axis=1)
+    past = jnp.pad(trees.past, ((0, 0), (0, 1), (0, 0)), constant_values=-1)
+    return Problem(score, past), lost, begun
 
 
 def _possible(problem: Problem, leaf: Array, num: int, label: Array) -> Array:
@@ -173,7 +213,11 @@ def remaining(choice: Choice, trees: Forest, kept: Array, stays: Array) -> Array
     tree = jnp.arange(len(kept))[None]
     score = trees.log_score[tree, jnp.maximum(choice.leaf, 0)]
     held = (choice.leaf < 0) | (score > -jnp.inf)
-    fits = jnp.where(kept[None], held, choice.leaf == choice.best[None])
+    # Who else has a detection does not change when the track that it began goes.
+    gone = (choice.leaf == choice.best[None]) | (
+        choice.claimed[None] & (choice.leaf < 0)
+    )
+    fits = jnp.where(kept[None], held, gone)
     leaf = jnp.where(kept[None], choice.leaf, -1)
     fits = fits & ~((choice.leaf < 0) & (kept & stays)[None])
     there = _everywhere(fits, choice.label) & (choice.log_weight > -jnp.inf)

@@ -164,19 +164,52 @@ def awaited(history: History, best: Array) -> Array:
     return (best >= 0) & seen.any(1)
 
 
-def existed(existence_prob: Array, log_gain: Array, seen: Array) -> Array:
-    """Returns how likely a target was there after the first of W scans.
+def existed(
+    existence_prob: Array, log_gain: Array, seen: Array, scan: Array | int = 0
+) -> Array:
+    """Returns how likely a target was there after one of W scans.
 
     Args:
         existence_prob: After each scan, by the scans until then, [W].
         log_gain: What each added to the score, [W].
         seen: In which it was detected, [W] (bool).
+        scan: Which one.
     """
-    again = seen[1:].any()
-    log_gain = jnp.where(again, 0.0, log_gain[1:])
+    later = jnp.arange(seen.size) > scan
+    again = (seen & later).any()
+    log_gain = jnp.where(again | ~later, 0.0, log_gain)
     # A miss that cannot be has a gain whose exponential is beyond float32.
-    log_dead = safe_log(1 - existence_prob[0]) - log_gain.sum()
+    log_dead = safe_log(1 - existence_prob[scan]) - log_gain.sum()
     return jnp.where(again, 1.0, 1 - jnp.exp(jnp.minimum(log_dead, 0.0)))
+
+
+def smooth(target: Target, params: Any, history: History, shown: Array) -> PyTree:
+    """Returns what is known by now of W scans, [N, W, ...].
+
+    Args:
+        target: How one target is filtered.
+        params: The target's `Params`.
+        history: Of the last W scans.
+        shown: A leaf of each tree, [N] (int).
+    """
+    tree = jnp.arange(len(shown))
+    belief = jax.tree.map(lambda x: x[tree, shown], history.belief)
+    assert target.smooth is not None, "check raises before"
+    smooth_one = target.smooth
+
+    def back(belief: PyTree) -> PyTree:
+        def step(later: PyTree, scan: tuple) -> tuple[PyTree, PyTree]:
+            before, interval = scan
+            now = smooth_one(params, before, later, interval)
+            return now, now
+
+        earlier = jax.tree.map(lambda x: x[:-1], belief)
+        last = jax.tree.map(lambda x: x[-1], belief)
+        scans = earlier, history.interval[1:]
+        every = jax.lax.scan(step, last, scans, reverse=True)[1]
+        return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), every, last)
+
+    return jax.vmap(back)(belief)
 
 
 def retrodict(
@@ -200,21 +233,9 @@ def retrodict(
     """
     best, shown = leaf
     tree, delay = jnp.arange(len(shown)), len(history.interval) - 1
-    belief, *rest = jax.tree.map(lambda x: x[tree, shown], history[:4])
-    assert target.smooth is not None, "check raises before"
-    smooth = target.smooth
-
-    def back(belief: PyTree) -> PyTree:
-        def step(later: PyTree, scan: tuple) -> tuple[PyTree, None]:
-            before, interval = scan
-            return smooth(params, before, later, interval), None
-
-        earlier = jax.tree.map(lambda x: x[:-1], belief)
-        last = jax.tree.map(lambda x: x[-1], belief)
-        scans = earlier, history.interval[1:]
-        return jax.lax.scan(step, last, scans, reverse=True)[0]
-
-    smoothed = jax.vmap(back)(belief)
+    rest = jax.tree.map(lambda x: x[tree, shown], history[1:4])
+    smoothed = smooth(target, params, history, shown)
+    smoothed = jax.tree.map(lambda x: x[:, 0], smoothed)
     moments = jax.vmap(target.moments)(smoothed)
     begun = (trees.age > delay) & (history.num > delay)
     prob = jnp.where(begun & (trees.label >= 0), jax.vmap(existed)(*rest), 0.0)

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 
 from jaxtrack.trackers.forest import Forest
 from jaxtrack.trackers.retrodiction import Retrodiction
+from jaxtrack.trackers.trajectories import Paths
 from jaxtrack.types import Array, Target
 
 
@@ -49,6 +50,7 @@ class Estimate(NamedTuple):
         log_loss: How much likelier than the best of them one may be that was not
             found, the log of a ratio; 0 if there is none.
         retrodicted: Where the targets were some scans ago, if that was asked for.
+        paths: Where they were in the last scans, if that was asked for.
     """
 
     mean: Array
@@ -67,6 +69,7 @@ class Estimate(NamedTuple):
     runner_up: Array
     log_loss: Array
     retrodicted: Retrodiction | None = None
+    paths: Paths | None = None
 
 
 class Views(NamedTuple):

@@ -1,0 +1,157 @@
+"""Trajectories: where each target has been since it was first detected.
+
+A tracker that follows hypotheses reports with every scan the paths of its tracks
+through the last W scans, smoothed, in the best hypothesis. Before these nothing
+changes, so that whole trajectories of any length are put together from what was
+reported when their scans left the window (`assemble`), and a scan costs the same
+however long they are.
+
+When a target that has not been detected since has ended is uncertain: it ended after
+scan t with the probability that it was there then and not one scan later. A path ends
+where that is likeliest, or goes on.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxtrack.trackers import trajectories
+    >>> alive = jnp.array([1.0, 1.0, 0.3, 0.25])  # in each of four scans
+    >>> print(trajectories.ended(alive, jnp.ones(4, bool)))
+    [ True  True False False]
+
+Reference: Xia, Granstrom, Svensson, Garcia-Fernandez and Williams, "Multiscan
+implementation of the trajectory Poisson multi-Bernoulli mixture filter", Journal of
+Advances in Information Fusion 14(2), 2019, sections III and VI.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.trackers import retrodiction
+from jaxtrack.trackers.forest import Forest
+from jaxtrack.trackers.retrodiction import History
+from jaxtrack.types import Array, Target
+
+
+class Paths(NamedTuple):
+    """N tracks through the last W scans, the newest last.
+
+    Attributes:
+        mean: Smoothed, [N, W, D].
+        cov: [N, W, D, D].
+        alive_prob: That the target was there, if the best hypothesis is true, [N, W].
+        alive: Where the reported path is, from its beginning to where it most likely
+            ended, [N, W] (bool).
+        label: [N] (int).
+    """
+
+    mean: Array
+    cov: Array
+    alive_prob: Array
+    alive: Array
+    label: Array
+
+
+class Trajectories(NamedTuple):
+    """M trajectories over T scans.
+
+    Attributes:
+        label: [M] (int), -1 where there are not so many.
+        mean: [T, M, D].
+        alive: [T, M] (bool).
+        dropped: How many found no room.
+    """
+
+    label: Array
+    mean: Array
+    alive: Array
+    dropped: Array
+
+
+def ended(alive_prob: Array, begun: Array) -> Array:
+    """Tells in which of W scans a target was there, by its likeliest end, [W] (bool).
+
+    Args:
+        alive_prob: That it was there, [W].
+        begun: From where on, [W] (bool).
+    """
+    after = jnp.append(alive_prob[1:], 0.0)
+    at_end = jnp.where(begun, alive_prob - after, -1.0)
+    # It may have ended before the window, or never have been.
+    before = 1 - jnp.where(begun, alive_prob, 0.0).max()
+    last = jnp.where(at_end.max() >= before, jnp.argmax(at_end), -1)
+    return begun & (jnp.arange(begun.size) <= last)
+
+
+def paths(
+    target: Target,
+    params: Any,
+    history: History,
+    trees: Forest,
+    leaf: tuple[Array, Array],
+    threshold: float,
+) -> Paths:
+    """Reports the last W scans.
+
+    Args:
+        target: How one target is filtered.
+        params: The target's `Params`.
+        history: Of the last W scans.
+        trees: The N trees now.
+        leaf: That of the best hypothesis of each, -1 for none, and the one to show,
+            both [N] (int).
+        threshold: Probability that there ever was a target above which a track is
+            reported.
+    """
+    best, shown = leaf
+    tree, size = jnp.arange(len(shown)), len(history.interval)
+    smoothed = retrodiction.smooth(target, params, history, shown)
+    moments = jax.vmap(jax.vmap(target.moments))(smoothed)
+    exists, gain, seen = jax.tree.map(lambda x: x[tree, shown], history[1:4])
+    each = jax.vmap(retrodiction.existed, (None, None, None, 0))
+    scan = jnp.arange(size)
+    since = jnp.minimum(trees.age, history.num)
+    begun = (size - 1 - scan)[None] < since[:, None]
+    there = begun & (trees.label >= 0)[:, None]
+    prob = jnp.where(
+        there, jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan), 0.0
+    )
+    reported = (best >= 0) & (prob.max(1) > threshold)
+    alive = jax.vmap(ended)(prob, there) & reported[:, None]
+    return Paths(moments.mean, moments.cov, prob, alive, trees.label)
+
+
+def assemble(
+    reported: Paths, max_trajectories: int, now: Array | int | None = None
+) -> Trajectories:
+    """Puts the trajectories together that are known after a scan.
+
+    Args:
+        reported: Of T scans, [T, N, W, ...].
+        max_trajectories: M.
+        now: After which scan, the last if None.
+
+    Returns:
+        The `Trajectories`, in the order in which they began; those of scans after it
+        are not there.
+    """
+    num_scans, _, size = reported.alive.shape[:3]
+    now = jnp.asarray(num_scans - 1 if now is None else now)
+    scan = jnp.arange(num_scans)
+    told = jnp.minimum(scan + size - 1, now)  # when a scan was last reported
+    at = jnp.clip(scan - told + size - 1, 0, size - 1)
+    past = (scan <= now)[:, None]
+    alive = reported.alive[told, :, at] & past  # [T, N]
+    label = jnp.where(alive, reported.label[told], -1)
+    high = jnp.iinfo(label.dtype).max
+    listed = jnp.where(label >= 0, label, high)
+    found = jnp.unique(listed, size=max_trajectories + 1, fill_value=high)
+    mine = (label[:, None] == found[None, :-1, None]) & alive[:, None]  # [T, M, N]
+    slot = jnp.argmax(mine, axis=2)
+    here = mine.any(2)
+    mean = reported.mean[told, :, at]
+    mean = jnp.take_along_axis(mean, slot[:, :, None], axis=1)
+    kept = jnp.where(found[:-1] < high, found[:-1], -1)
+    first = jnp.sort(listed.ravel())
+    different = jnp.append(first[1:] != first[:-1], True) & (first < high)
+    dropped = different.sum() - (kept >= 0).sum()
+    return Trajectories(kept, jnp.where(here[:, :, None], mean, 0.0), here, dropped)

@@ -1,0 +1,206 @@
+"""Tests of `tpmbm`, `tmbm`, `tmbm01` and of trajectories."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import small_scenes as scenes
+
+from jaxtrack.models.birth import MultiBernoulliBirth
+from jaxtrack.trackers import (
+    mbm,
+    mht,
+    pmbm,
+    tmbm,
+    tmbm01,
+    tpmbm,
+    trajectories,
+)
+from jaxtrack.types import Scan
+
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
+KEY = jax.random.key(0)
+SIZES, NUM = (2, 1, 2), 30
+FEW = 1, 2  # where hypotheses say who is there
+ROOM = {"gate_prob": 1.0, "prune_threshold": 0.0}
+ALL = {**ROOM, "exist_threshold": 0.0, "num_scans": 2}
+POISSON = {"max_tracks": 5, "max_leaves": 9, "max_undetected": 4}
+BORN = {"max_tracks": 3, "max_leaves": 20}
+CERTAIN = {"max_tracks": 3, "max_leaves": 12}
+PAIRS = {
+    "poisson": (
+        tpmbm.tpmbm(scenes.target, max_hypotheses=128, **ALL, **POISSON),
+        pmbm.pmbm(
+            scenes.target, max_hypotheses=32, exist_threshold=0.0, **ROOM, **POISSON
+        ),
+    ),
+    "multi-Bernoulli": (
+        tmbm.tmbm(scenes.target, max_hypotheses=150, **ALL, **BORN),
+        mbm.mbm(scenes.target, max_hypotheses=150, exist_threshold=0.0, **ROOM, **BORN),
+    ),
+    "certain": (
+        tmbm01.tmbm01(scenes.target, max_hypotheses=200, **ALL, **CERTAIN),
+        mbm.mbm01(scenes.target, max_hypotheses=200, **ROOM, **CERTAIN),
+    ),
+}
+
+
+def params_of(drawn, kind):
+    params = scenes.params_of(drawn)
+    if kind == "poisson":
+        return params
+    births = MultiBernoulliBirth(jnp.array([0.3]), *params.birth[1:])
+    return params._replace(birth=births, undetected=None)
+
+
+def run(tracker, params, scans):
+    state = tracker.init(params, jax.random.key(0))
+    return jax.lax.scan(functools.partial(tracker.step, params), state, scans)[1]
+
+
+@functools.cache
+def drawn(sizes):
+    problems = scenes.stacked([scenes.draw(seed) for seed in range(NUM)])
+    return problems, scenes.stacked([scenes.detections(k, sizes) for k in range(NUM)])
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_with_room_for_all_it_is_the_filter_of_single_scans(kind):
+    """Which is compared with all hypotheses, or sets, in tests of its own."""
+
+    sizes = FEW if kind == "certain" else SIZES
+
+    def both(drawn, places):
+        params = params_of(drawn, kind)
+        scans = scenes.stacked(scenes.padded(places))
+        return [run(tracker, params, scans) for tracker in PAIRS[kind]]
+
+    several, single = jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(*drawn(sizes)))
+    for field in ("log_evidence", "num_mean", "num_var"):
+        given = getattr(several, field), getattr(single, field)
+        np.testing.assert_allclose(*given, rtol=1e-10)
+    # Roundings of sums of order one.
+    assert (abs(several.dropped) < 1e-12).all()
+    if kind != "certain":  # it says when targets ended, which mbm01 forgets
+        most = min(several.hypothesis_prob.shape[2], single.hypothesis_prob.shape[2], 8)
+        given = (x.hypothesis_prob[..., :most] for x in (several, single))
+        np.testing.assert_allclose(*given, atol=1e-10)  # of probabilities
+    for label in range(sum(SIZES)):
+        there = (
+            np.where(x.label == label, x.existence_prob, 0.0).sum(2)
+            for x in (several, single)
+        )
+        np.testing.assert_allclose(*there, atol=1e-12)  # of probabilities
+
+
+def certain_scene(seen):
+    """One target for sure, detected in some of the scans; few others are expected."""
+    drawn = {**scenes.draw(0), "clutter": 1e-3, "births": 1e-4, "detect": 0.9}
+    params = scenes.params_of(drawn)
+    places = np.linspace(0.0, 2.0, len(seen))
+    intervals = np.tile([0.7, 1.3, 0.4], len(seen))[: len(seen)]
+    return params, Scan(places[:, None, None], np.array(seen)[:, None], intervals)
+
+
+@functools.cache
+def program(bernoulli):
+    room = {"max_tracks": 3, "max_leaves": 6, "max_undetected": 2}
+    if bernoulli:
+        tracker = tpmbm.tpmbm(scenes.target, num_scans=1, lag=2, **room)
+    else:
+        tracker = mht.mht(scenes.target, num_scans=1, delay=3, **room)
+    return jax.jit(functools.partial(run, tracker))
+
+
+def test_a_trajectory_is_smoothed_grows_and_ends():
+    seen = [True, True, False, True, True, True] + 8 * [False]
+    params, scans = certain_scene(seen)
+    told = program(True)(params, scans)
+    later = program(False)(params, scans).retrodicted
+    paths, size = told.paths, told.paths.alive.shape[2]
+    for t in range(size - 1, 9):
+        at = int(np.argmax(later.label[t] == 0))
+        mine = int(np.argmax(paths.label[t] == 0))
+        place = paths.mean[t, mine, 0]
+        np.testing.assert_allclose(place, later.mean[t, at], rtol=1e-9)
+    found = trajectories.assemble(paths, max_trajectories=2)
+    assert found.label.tolist() == [0, -1]
+    assert found.dropped == 0
+    # It ended where it was last seen: survival is less likely than that.
+    assert found.alive[:, 0].tolist() == 6 * [True] + 8 * [False]
+    before = trajectories.assemble(paths, 2, now=4)
+    assert before.alive[:, 0].tolist() == 5 * [True] + 9 * [False]
+    newest = int(np.argmax(paths.label[4] == 0))
+    np.testing.assert_allclose(before.mean[1:5, 0], paths.mean[4, newest], rtol=1e-12)
+
+
+def test_ends_are_where_they_are_likeliest():
+    begun = jnp.array([False, True, True, True])
+    for alive, expected in (
+        ([0.0, 1.0, 1.0, 0.9], [0, 1, 1, 1]),
+        ([0.0, 1.0, 0.4, 0.3], [0, 1, 0, 0]),
+        ([0.0, 0.2, 0.15, 0.1], [0, 0, 0, 0]),
+    ):
+        found = trajectories.ended(jnp.array(alive), begun)
+        assert found.tolist() == [bool(x) for x in expected]
+
+
+def test_what_finds_no_room_is_counted():
+    label = jnp.array([[0, 1, 2]])
+    paths = trajectories.Paths(
+        mean=jnp.arange(3.0).reshape(1, 3, 1, 1),
+        cov=jnp.ones((1, 3, 1, 1, 1)),
+        alive_prob=jnp.ones((1, 3, 1)),
+        alive=jnp.ones((1, 3, 1), bool),
+        label=label,
+    )
+    found = trajectories.assemble(paths, 2)
+    assert found.label.tolist() == [0, 1]
+    assert found.mean[0, :, 0].tolist() == [0.0, 1.0]
+    assert found.dropped == 1
+
+
+def test_gradient_of_the_evidence_is_right():
+    scans = scenes.stacked(scenes.padded(scenes.detections(3, FEW)))
+    room = {**ALL, **POISSON, "max_leaves": 4, "max_hypotheses": 6}
+    tracker = tpmbm.tpmbm(scenes.target, solver="greedy", **room)
+    given = scenes.draw(3)
+    names = "detect", "clutter", "births", "sensor_var"
+
+    def evidence(values):
+        params = scenes.params_of({**given, **dict(zip(names, values, strict=True))})
+        return run(tracker, params, scans).log_evidence.sum()
+
+    values = np.array([given[name] for name in names])
+    steps = 1e-5 * values[:, None] * np.eye(len(names))
+    near = np.concatenate([values[None] + steps, values[None] - steps])
+    value, slope = jax.jit(jax.vmap(jax.value_and_grad(evidence)))(near)
+    found = (value[: len(names)] - value[len(names) :]) / (2e-5 * values)
+    told = slope.reshape(2, len(names), -1).mean(0).diagonal()
+    np.testing.assert_allclose(found, told, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"lag": -1}, "lag is -1; give 0 or more"),
+        ({"num_scans": -1}, "num_scans is -1"),
+        ({"max_leaves": 1}, "max_leaves is 1"),
+        ({"solver": "simplex"}, "solver is 'simplex'"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, sentence):
+    for make in (tpmbm.tpmbm, tmbm.tmbm, tmbm01.tmbm01):
+        with pytest.raises(ValueError, match=sentence):
+            make(scenes.target, **settings)
+
+
+def test_births_of_the_other_kind_are_refused():
+    params = params_of(scenes.draw(0), "multi-Bernoulli")
+    with pytest.raises(ValueError, match="birth is a PoissonBirth"):
+        PAIRS["multi-Bernoulli"][0].init(scenes.params_of(scenes.draw(0)), KEY)
+    with pytest.raises(ValueError, match="birth is a MultiBernoulliBirth"):
+        PAIRS["poisson"][0].init(params, KEY)
