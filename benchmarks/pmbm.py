@@ -126,6 +126,7 @@ def keep(made: list[Row]) -> None:
         ]
         axis.loglog([one[which] for one in some], [cost[one] for one in works], "o-")
         axis.set_xticks([one[which] for one in some], [str(x[which]) for x in some])
+        axis.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
         axis.minorticks_off()
         axis.set(xlabel=name)
         axis.grid(alpha=0.3)
