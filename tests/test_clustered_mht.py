@@ -52,8 +52,8 @@ def drawn():
 
 
 @functools.cache
-def told():
-    tracker = clustered_mht.clustered_mht(scenes.target, **ROOM)
+def told(**less):
+    tracker = clustered_mht.clustered_mht(scenes.target, **{**ROOM, **less})
     return jax.jit(jax.vmap(lambda d, p: track(d, p, tracker)))(*drawn())
 
 
@@ -96,3 +96,12 @@ def test_tracks_are_as_likely_as_all_hypotheses_say():
             mine = (begun == scan) & (which == k)
             found = estimate.existence_prob * (estimate.label == label)
             np.testing.assert_allclose(found.sum(1), share[:, mine].sum(1), rtol=1e-9)
+
+
+def test_what_finds_no_room_costs_something_and_is_told():
+    estimate, log_evidence = told(max_hypotheses=2)
+    error = abs(truth().log_evidence - log_evidence)
+    assert 0.01 < error.mean() < 1
+    wrong = abs(estimate.num_mean - told()[0].num_mean)
+    assert wrong.mean() < estimate.dropped.mean() < 20 * wrong.mean()
+    assert (estimate.dropped > 0).mean() > 0.9

@@ -144,3 +144,15 @@ def test_clusters_join_at_a_detection_of_either_and_part_again():
     # Where they have joined, nothing is lost yet but by merging.
     gap = abs(told.log_evidence - exact.log_evidence)
     assert gap[2] < 1e-3
+
+
+def test_a_hypothesis_goes_with_any_of_its_leaves():
+    """With one history of each track only the best hypothesis is left of a cluster."""
+    tracker = clustered_mht.clustered_mht(
+        TARGET, max_hypotheses=8, **LISTS, **{**FEW, "max_leaves": 1}
+    )
+    told, _ = of_two(tracker)
+    # Roundings of a weight that is all there is.
+    np.testing.assert_allclose(told.entropy, 0, atol=1e-12)
+    assert (told.dropped[2] > 0.01).all()
+    assert (told.existence_prob[-1] > 0.9).all()

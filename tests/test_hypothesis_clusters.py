@@ -2,15 +2,19 @@
 
 import functools
 import itertools
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxtrack.trackers import cluster_search, hypothesis_clusters
 from jaxtrack.trackers.verdict import Views
 
 NONE = -np.inf
+SPLIT = jax.jit(hypothesis_clusters.split, static_argnums=(1, 2, 3))
+SEARCH = jax.jit(cluster_search.search, static_argnums=0)
 
 
 def table(lists, labels):
@@ -55,8 +59,7 @@ def test_the_product_takes_the_heaviest_rows_of_all_lists():
 
 
 def test_clusters_split_where_trees_tell_nothing_of_each_other():
-    split = jax.jit(hypothesis_clusters.split, static_argnums=(1, 2, 3))
-    views, lost = split(VIEWS, 3, 0.0, 4)
+    views, lost = SPLIT(VIEWS, 3, 0.0, 4)
     np.testing.assert_array_equal(views.label, [0, 0, 2, 3])
     assert lost == 0
     for trees, expected in {(0, 1): PAIR, (2,): [(1.0, (2,))]}.items():
@@ -68,8 +71,7 @@ def test_clusters_split_where_trees_tell_nothing_of_each_other():
 
 
 def test_what_is_split_for_want_of_room_keeps_its_marginals_and_says_so():
-    split = jax.jit(hypothesis_clusters.split, static_argnums=(1, 2, 3))
-    views, lost = split(VIEWS, 3, 0.0, 1)
+    views, lost = SPLIT(VIEWS, 3, 0.0, 1)
     np.testing.assert_array_equal(views.label, np.arange(4))
     first, second = listed(views, [0]), listed(views, [1])
     np.testing.assert_allclose([first[0,], first[1,], first[-1,]], [0.5, 0.3, 0.2])
@@ -79,10 +81,9 @@ def test_what_is_split_for_want_of_room_keeps_its_marginals_and_says_so():
 
 
 def test_joined_clusters_have_the_products_of_their_rows():
-    split = jax.jit(hypothesis_clusters.split, static_argnums=(1, 2, 3))
     wide = jax.tree.map(lambda x: jnp.pad(x, ((0, 4), (0, 0))), VIEWS[:2])
     log_prob = jnp.where(jnp.arange(7)[:, None] < 3, wide[1], NONE)
-    views, _ = split(Views(wide[0], log_prob, VIEWS.label), 3, 0.0, 4)
+    views, _ = SPLIT(Views(wide[0], log_prob, VIEWS.label), 3, 0.0, 4)
     trees = jnp.array([0, 1, 3, 4, 4])
     joined, log_share = jax.jit(hypothesis_clusters.join)(views, trees)
     weight = np.exp(joined.log_weight)
@@ -104,6 +105,69 @@ def test_joined_clusters_have_the_products_of_their_rows():
     kept = sorted(expected.values())[-4:]
     np.testing.assert_allclose(np.exp(log_share), sum(kept), rtol=1e-12)
     np.testing.assert_allclose(np.exp(joined.log_weight).sum(), 1, rtol=1e-12)
+
+
+def events(views, log_score, log_first, lists, items):
+    """All that can become of some clusters and detections: weights by codes."""
+    last = log_score.shape[2] - 1
+    found = {}
+    for rows in itertools.product(*(listed(views, trees).items() for trees in lists)):
+        leaves = [x for leaves, _ in rows for x in leaves]
+        prior = math.prod(p for _, p in rows)
+        trees = [x for trees in lists for x in trees]
+        for columns in itertools.product([*items, last], repeat=len(trees)):
+            taken = [k for k in columns if k < last]
+            gone = [x < 0 and k < last for x, k in zip(leaves, columns, strict=True)]
+            if len(set(taken)) < len(taken) or any(gone):
+                continue
+            steps = list(zip(trees, leaves, columns, strict=True))
+            score = sum(log_score[n, x, k] for n, x, k in steps if x >= 0)
+            codes = [x * (last + 1) + k if x >= 0 else -1 for _, x, k in steps]
+            free = [k for k in items if k not in taken]
+            for new in itertools.product([False, True], repeat=len(free)):
+                begun = {k for k, there in zip(free, new, strict=True) if there}
+                weight = prior * np.exp(score + sum(log_first[k] for k in begun))
+                leaf = [0 if k in begun else -1 for k in items]
+                found[*codes, *leaf] = weight
+    return {x: p for x, p in found.items() if p > 0}
+
+
+@pytest.mark.parametrize("pair_is_detected", [True, False])
+def test_a_search_finds_all_events_of_each_cluster(pair_is_detected):
+    """One detection is the pair's alone, one its or another's, and one nobody's."""
+    rng = np.random.default_rng(3)
+    log_score = rng.normal(size=(4, 3, 4))
+    possible = np.zeros((4, 4), bool)
+    possible[:, 3] = True
+    possible[:2, :2] = pair_is_detected
+    possible[2 + pair_is_detected, 1] = True
+    log_score = np.where(possible[:, None], log_score, NONE)
+    log_first = np.array([-0.5, 0.3, 0.2])
+    wide = jax.tree.map(
+        lambda x, fill: jnp.pad(x, ((0, 157), (0, 0)), constant_values=fill),
+        (VIEWS.leaf, VIEWS.log_prob),
+        (-1, NONE),
+    )
+    views, _ = SPLIT(Views(*wide, VIEWS.label), 3, 0.0, 4)
+    room = cluster_search.Room(99, 2, 3, 2)
+    found = SEARCH(room, views, jnp.asarray(log_score), jnp.asarray(log_first))
+    groups = [([(2,)], []), ([(0, 1), (3,)], [0, 1]), ([], [2])]
+    if not pair_is_detected:
+        groups = [([(0, 1)], []), ([(2,)], [1]), ([(3,)], []), ([], [0]), ([], [2])]
+    both = jax.tree.map(
+        lambda x, y: jnp.concatenate([x, y], -1), found.views, found.begun
+    )
+    for lists, items in groups:
+        given = [list(x) for x in lists]
+        expected = events(views, log_score, log_first, given, items)
+        columns = [n for x in given for n in x] + [4 + k for k in items]
+        told = listed(both, columns)
+        assert told.keys() == expected.keys()
+        for codes, weight in expected.items():
+            np.testing.assert_allclose(told[codes], weight, rtol=1e-12)
+        total = np.log(sum(expected.values()))
+        np.testing.assert_allclose(found.log_total[jnp.array(columns)], total)
+    assert found.cut == 0
 
 
 def components(linked):

@@ -52,7 +52,6 @@ class Plan(NamedTuple):
         of_tree: The first tree of each tree's new cluster, [N].
         of_item: The same of each detection; N + its own place if it is in no cluster,
             [K].
-        linked: Whether a tree may have a detection, [N, K] (bool).
         cut: How many detections of targets are expected that found no room.
     """
 
@@ -60,7 +59,6 @@ class Plan(NamedTuple):
     item: Array
     of_tree: Array
     of_item: Array
-    linked: Array
     cut: Array
 
 
@@ -109,8 +107,6 @@ def search(room: Room, views: Views, log_score: Array, log_first: Array) -> Foun
         log_first: Of a target detected for the first time, [K].
     """
     planned = plan(room, views, log_score)
-    hits = jnp.where(planned.linked[:, None], log_score[:, :, :-1], -jnp.inf)
-    log_score = jnp.concatenate([hits, log_score[:, :, -1:]], axis=2)
 
     def follow(tree: Array, item: Array) -> tuple[_Columns, _Columns]:
         return _follow(room.max_children, views, log_score, log_first, tree, item)
@@ -163,8 +159,8 @@ def plan(room: Room, views: Views, log_score: Array) -> Plan:
     tree, item = jax.vmap(members)(lead)
     own = num + jnp.arange(columns - 1)
     of_item = jnp.where(of_item < num, of_item, own)
-    cut = jnp.where(linked, 0.0, likely).sum()
-    return Plan(tree, item, label, of_item, linked, cut)
+    cut = jnp.where(label[:, None] == of_item[None], 0.0, likely).sum()
+    return Plan(tree, item, label, of_item, cut)
 
 
 def _likely(views: Views, log_score: Array) -> Array:
