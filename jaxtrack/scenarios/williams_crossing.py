@@ -5,9 +5,10 @@ and go as constant velocity takes them from there, backwards and forwards. One d
 they meet. Births have a small rate all over the region, and three targets are expected
 at first. The truth is one draw, the same in all runs.
 
-The PMBM filters differ in their estimators, see `trackers.estimators`. With
-multi-Bernoulli births, as `mbm` and `mbm01` need them, the three expected at first are
-four that are there with probability 3/4 each.
+The PMBM filters differ in their estimators, see `trackers.estimators`. With multi-
+Bernoulli births, as `mbm`, `tmbm` and their kin need them, the three expected at first
+are four that are there with probability 3/4 each. These are alike, so that all is said
+by 24 hypotheses that differ in who is who, and fewer others find room.
 
     >>> from jaxtrack.scenarios import williams_crossing
     >>> made = williams_crossing.make()
@@ -31,7 +32,17 @@ from jaxtrack.models.probability import Constant
 from jaxtrack.models.sensor import Position
 from jaxtrack.scenarios.world import Scenario, Truth, World, slots_for
 from jaxtrack.targets import single
-from jaxtrack.trackers import hypothesis_mht, mbm, mht, pmb, pmbm, undetected
+from jaxtrack.trackers import (
+    hypothesis_mht,
+    mbm,
+    mht,
+    pmb,
+    pmbm,
+    tmbm,
+    tmbm01,
+    tpmbm,
+    undetected,
+)
 from jaxtrack.types import Tracker
 
 WIDTH, SCANS, TARGETS = 300.0, 81, 4
@@ -42,6 +53,7 @@ BIRTH_RATE, EXPECTED = 0.005, 3.0  # in a scan, and before the first
 BIRTH_MEAN = np.array([100.0, 0.0, 100.0, 0.0])
 BIRTH_STD = np.array([150.0, 1.0, 150.0, 1.0])
 SEED = 9
+BERNOULLI = "mbm", "mbm01", "tmbm", "tmbm01"  # their births
 
 
 def make(
@@ -87,7 +99,7 @@ def make(
         summary="four targets that meet in the middle, of which one dies there",
         world=World(truth(), motion, sensor, detect, clutter),
         trackers={
-            name: (tracker, bernoullis if name.startswith("mbm") else poisson)
+            name: (tracker, bernoullis if name in BERNOULLI else poisson)
             for name, tracker in _trackers(size).items()
         },
         max_detections=slots_for(TARGETS, clutter_rate),
@@ -113,13 +125,17 @@ def _trackers(size: int) -> dict[str, Tracker]:
     target = single.single()
     room = {"max_hypotheses": size, "max_tracks": 24, "max_leaves": 32}
     filters = {**room, "max_contested": 12, "report_threshold": 0.4}
+    few = {**room, "prune_threshold": 1e-8}  # a birth is far less likely than clutter
     return {
         "pmbm": pmbm.pmbm(target, **filters),
         "pmbm-number": pmbm.pmbm(target, estimator="number", **filters),
         "pmbm-certain": pmbm.pmbm(target, estimator="certain", **filters),
-        "mbm": mbm.mbm(target, **filters),
-        "mbm01": mbm.mbm01(target, **room),
+        "mbm": mbm.mbm(target, **few, report_threshold=0.4),
+        "mbm01": mbm.mbm01(target, **few),
         "pmb": pmb.pmb(target, max_tracks=24, report_threshold=0.4),
+        "tpmbm": tpmbm.tpmbm(target, max_tracks=24, report_threshold=0.4),
+        "tmbm": tmbm.tmbm(target, max_tracks=24, report_threshold=0.4),
+        "tmbm01": tmbm01.tmbm01(target, max_tracks=24, report_threshold=0.4),
         "mht": mht.mht(target, max_tracks=24),
         "hypothesis-mht": hypothesis_mht.hypothesis_mht(target, **room),
     }
