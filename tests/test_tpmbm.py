@@ -1,4 +1,4 @@
-"""Tests of `tpmbm`, `tmbm`, `tmbm01` and of trajectories."""
+"""Tests of `tpmbm`, `tmbm` and of trajectories."""
 
 import functools
 
@@ -14,7 +14,6 @@ from jaxtrack.trackers import (
     mht,
     pmbm,
     tmbm,
-    tmbm01,
     tpmbm,
     trajectories,
 )
@@ -42,7 +41,7 @@ PAIRS = {
         mbm.mbm(scenes.target, max_hypotheses=150, exist_threshold=0.0, **ROOM, **BORN),
     ),
     "certain": (
-        tmbm01.tmbm01(scenes.target, max_hypotheses=200, **ALL, **CERTAIN),
+        tmbm.tmbm(scenes.target, max_hypotheses=200, certain=True, **ALL, **CERTAIN),
         mbm.mbm01(scenes.target, max_hypotheses=200, **ROOM, **CERTAIN),
     ),
 }
@@ -193,7 +192,7 @@ def test_gradient_of_the_evidence_is_right():
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings, sentence):
-    for make in (tpmbm.tpmbm, tmbm.tmbm, tmbm01.tmbm01):
+    for make in (tpmbm.tpmbm, tmbm.tmbm):
         with pytest.raises(ValueError, match=sentence):
             make(scenes.target, **settings)
 

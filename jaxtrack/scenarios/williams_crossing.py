@@ -39,7 +39,6 @@ from jaxtrack.trackers import (
     pmb,
     pmbm,
     tmbm,
-    tmbm01,
     tpmbm,
     undetected,
 )
@@ -135,7 +134,9 @@ def _trackers(size: int) -> dict[str, Tracker]:
         "pmb": pmb.pmb(target, max_tracks=24, report_threshold=0.4),
         "tpmbm": tpmbm.tpmbm(target, max_tracks=24, report_threshold=0.4),
         "tmbm": tmbm.tmbm(target, max_tracks=24, report_threshold=0.4),
-        "tmbm01": tmbm01.tmbm01(target, max_tracks=24, report_threshold=0.4),
+        "tmbm01": tmbm.tmbm(
+            target, max_tracks=24, max_leaves=20, report_threshold=0.4, certain=True
+        ),
         "mht": mht.mht(target, max_tracks=24),
         "hypothesis-mht": hypothesis_mht.hypothesis_mht(target, **room),
     }

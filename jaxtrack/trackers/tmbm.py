@@ -1,8 +1,12 @@
-"""The multiscan trajectory multi-Bernoulli mixture filter: TMBM.
+"""The multiscan trajectory multi-Bernoulli mixture filters: TMBM and TMBM01.
 
 As `tpmbm`, for births that are multi-Bernoulli: in every scan at most one target is
 born at each place, with a known probability. A track begins with the birth, not with a
 detection, and a detection that no track has is clutter.
+
+In TMBM01 (`certain=True`) every leaf of a track says whether its target is there, and
+if not, after which scan it ended or that it was never born: existence probabilities are
+0 or 1. The density is the same, in many more hypotheses, so that it needs more leaves.
 
     >>> from jaxtrack import targets
     >>> from jaxtrack.trackers import tmbm
@@ -10,7 +14,7 @@ detection, and a detection that no track has is clutter.
 
 Reference: Xia, Granstrom, Svensson, Garcia-Fernandez and Williams, "Multiscan
 implementation of the trajectory Poisson multi-Bernoulli mixture filter", Journal of
-Advances in Information Fusion 14(2), 2019, theorems 1 to 3.
+Advances in Information Fusion 14(2), 2019, theorems 1 to 3 and appendix C.
 """
 
 import functools
@@ -32,6 +36,7 @@ def tmbm(
     prune_threshold: float = 1e-5,
     exist_threshold: float = 1e-3,
     report_threshold: float = 0.5,
+    certain: bool = False,
 ) -> Tracker:
     """Makes a multiscan trajectory multi-Bernoulli mixture filter.
 
@@ -51,6 +56,7 @@ def tmbm(
             was not detected in any scan that is still to be reported.
         report_threshold: A trajectory of the best hypothesis is reported where there
             was such a target with more probability.
+        certain: Whether hypotheses say who is there: TMBM01.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -70,5 +76,6 @@ def tmbm(
         delay=max(num_scans + lag, 1),
         bernoulli=True,
         hides=False,
+        certain=certain,
     )
     return track_oriented.make(settings)

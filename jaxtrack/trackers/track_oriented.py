@@ -1,4 +1,4 @@
-"""Track-oriented trackers: the scan of `mht`, `tpmbm`, `tmbm` and `tmbm01`.
+"""Track-oriented trackers: the scan of `mht`, `tpmbm` and `tmbm`.
 
 Trees of track hypotheses, of which an assignment over the last scans makes hypotheses
 about all targets when they are needed. One scan is
