@@ -17,6 +17,7 @@ from benchmarks import climit, table
 ALL = (
     *("kalman", "extended", "imm", "gaussians", "gradient", "assign", "multiscan"),
     *("jpda", "phd", "particles", "cores", "start", "study", "growth"),
+    "trajectories",
 )
 PACKAGES = (
     *("jax", "jaxlib", "numpy", "scipy"),

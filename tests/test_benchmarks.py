@@ -15,6 +15,7 @@ FAST = ("gaussians",)
 SLOW = (
     *("kalman", "extended", "imm", "gradient", "assign", "multiscan"),
     *("jpda", "phd", "particles", "cores", "start", "study", "growth", "crowds"),
+    "trajectories",
     "pmbm",
 )
 KEYS = {

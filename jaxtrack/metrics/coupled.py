@@ -22,7 +22,6 @@ bounds hold at every step, up to rounding, so the number of steps decides only h
 apart they are.
 """
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -34,7 +33,7 @@ from jaxtrack.assign.lanes import lanes
 from jaxtrack.metrics import chains, splitting
 from jaxtrack.types import Array
 
-BURST = 16  # steps between bounds
+BURST = 12  # steps before the first bound; then it is half of those made
 WIDTH = 32  # problems side by side
 
 
@@ -91,38 +90,55 @@ def solve(
 
 
 def _solve_many(*problems: Array) -> Coupled:
-    """Solves R problems, the last axis of everything, in blocks.
+    """Solves R problems, the last axis of everything.
 
-    One burst is enough for most. The others begin anew, the worst first, so that few
-    wait for the slowest.
+    A pass makes a burst of steps on those that are not near enough, in blocks, so that
+    none waits for others.
     """
-    cost, change_cost, offset, tolerance, max_steps = problems
-    number = cost.shape[-1]
+    # What is picked lies together in memory when the problem comes first.
+    given = tuple(jnp.moveaxis(x, -1, 0) for x in problems)
+    cost, change_cost, offset, tolerance, max_steps = given
+    number = len(cost)
     width = -(-number // -(-number // WIDTH))
 
-    def go_on(found: Coupled, limit: Array) -> tuple[Coupled, None]:
-        """Solves those that are not near enough, the worst first."""
-        excess = found.upper - found.lower - _allowed(found.upper, offset, tolerance)
-        left, order = (excess > 0).sum(), jnp.argsort(-excess)
+    def is_open(state: _State) -> Array:
+        gap = state.best.upper - state.best.lower
+        allowed = _allowed(state.best.upper, offset, tolerance)
+        return ~(gap <= allowed) & (state.num_steps < max_steps)
 
-        def block(carry: tuple[Array, Coupled]) -> tuple[Array, Coupled]:
-            begin, found = carry
+    def go_on(state: _State) -> _State:
+        open_ = is_open(state)
+        left, order = open_.sum(), jnp.argsort(~open_)
+        burst = jnp.maximum(jnp.where(open_, state.num_steps, 0).max() // 2, BURST)
+
+        def block(carry: tuple[Array, _State]) -> tuple[Array, _State]:
+            begin, state = carry
             place = begin + jnp.arange(width)
             index = order[jnp.minimum(place, number - 1)]
-            given = cost, change_cost, offset, tolerance, limit
-            better = _until_near(place < left, *(x[..., index] for x in given))
+            some = jax.tree.map(lambda x: _last(x[index]), (cost, change_cost, state))
+            better = _improve(some[0], some[1], some[2], burst)
             target = jnp.where(place < left, index, number)  # beyond: not written
-            write = functools.partial(_write, target)
-            return begin + width, jax.tree.map(write, found, better)
+            return begin + width, jax.tree.map(
+                lambda x, y: x.at[target].set(_first(y), mode="drop"), state, better
+            )
 
-        begin = jnp.array(0), found
-        return jax.lax.while_loop(lambda c: c[0] < left, block, begin)[1], None
+        all_blocks = jnp.array(0), state
+        return jax.lax.while_loop(lambda c: c[0] < left, block, all_blocks)[1]
 
-    limits = jnp.stack([jnp.minimum(max_steps, BURST), max_steps])
-    return jax.lax.scan(go_on, _start(cost).best, limits)[0]
+    begin = jax.tree.map(_first, _start(problems[0]))
+    found = jax.lax.while_loop(lambda s: is_open(s).any(), go_on, begin).best
+    return jax.tree.map(_last, found)
 
 
 _solve = lanes(_solve_many)
+
+
+def _last(x: Array) -> Array:
+    return jnp.moveaxis(x, 0, -1)
+
+
+def _first(x: Array) -> Array:
+    return jnp.moveaxis(x, -1, 0)
 
 
 def _allowed(upper: Array, offset: Array, tolerance: Array) -> Array:
@@ -132,38 +148,6 @@ def _allowed(upper: Array, offset: Array, tolerance: Array) -> Array:
     return jnp.maximum(tolerance * jnp.abs(offset + upper), rounding)
 
 
-def _write(index: Array, all_: Array, some: Array) -> Array:
-    return all_.at[..., index].set(some, mode="drop")
-
-
-def _until_near(
-    wanted: Array,
-    cost: Array,
-    change_cost: Array,
-    offset: Array,
-    tolerance: Array,
-    max_steps: Array,
-) -> Coupled:
-    """Solves those of R problems that are wanted."""
-
-    def open_(state: _State) -> Array:
-        _, lower, upper = state.best
-        near = upper - lower <= _allowed(upper, offset, tolerance)
-        return wanted & ~near & (state.num_steps < max_steps)
-
-    def burst(state: _State) -> _State:
-        better = _improve(cost, change_cost, state)
-        # What one problem gets must not depend on its neighbours.
-        go = open_(state)
-
-        def choose(new: Array, old: Array) -> Array:
-            return jnp.where(go.reshape((1,) * (new.ndim - 1) + go.shape), new, old)
-
-        return jax.tree.map(choose, better, state)
-
-    return jax.lax.while_loop(lambda s: open_(s).any(), burst, _start(cost)).best
-
-
 def _start(cost: Array) -> _State:
     """Returns weight zero and no bound."""
     zero = jnp.zeros_like(cost[0, 0, 0])
@@ -171,9 +155,9 @@ def _start(cost: Array) -> _State:
     return _State(nothing, splitting.start(cost), jnp.zeros(zero.shape, int))
 
 
-def _improve(cost: Array, change_cost: Array, state: _State) -> _State:
+def _improve(cost: Array, change_cost: Array, state: _State, steps: Array) -> _State:
     """Makes some steps, and keeps the best bounds."""
-    split = splitting.steps(cost, change_cost, state.split, BURST)
+    split = splitting.steps(cost, change_cost, state.split, steps)
     price = splitting.prices(split).astype(cost.dtype)
     _, message, lower = chains.bound(cost, change_cost, cost + price[:, None])
     best = state.best._replace(lower=jnp.maximum(state.best.lower, lower))
@@ -187,7 +171,7 @@ def _improve(cost: Array, change_cost: Array, state: _State) -> _State:
             weight=jnp.where(less[None, None, None], weight, best.weight),
             upper=jnp.where(less, upper, best.upper),
         )
-    return _State(best, split, state.num_steps + BURST)
+    return _State(best, split, state.num_steps + steps)
 
 
 def changes(weight: Array, change_cost: Any) -> Array:

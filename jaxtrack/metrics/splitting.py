@@ -33,8 +33,8 @@ import numpy as np
 from jaxtrack.types import Array
 
 # Chosen on simulated tracks; costs are between -1 and 0, so they need no scale.
-PENALTY = 0.5  # of a copy that is not what it copies
-CHANGES, SUMS = 0.5, 1.0  # the same for the other copies, relative to that of W
+PENALTY = 0.6  # of a copy that is not what it copies
+CHANGES, SUMS = 0.5, 0.75  # the same for the other copies, relative to that of W
 RELAX = 1.8
 
 
@@ -69,7 +69,7 @@ def start(cost: Array) -> Split:
     )
 
 
-def steps(cost: Array, change_cost: Array, split: Split, num: int) -> Split:
+def steps(cost: Array, change_cost: Array, split: Split, num: Array | int) -> Split:
     """Makes `num` steps.
 
     Args:

@@ -12,8 +12,9 @@ programme of the paper, with Euclidean base distance; trajectories may have hole
 one time it is GOSPA.
 
 `metric` is jitted and vmappable and says how exact it is: the truth is between `lower`
-and `distance`. `exact` solves the programme by HiGHS, on the host. Many at a time,
-`metric` is some 25 to 75 times as fast at 81 times (`benchmarks/trajectories.py`).
+and `distance`. `exact` solves the programme by HiGHS, on the host. Where ten targets
+meet, `metric` is some twenty times as fast, many at a time; where they are spread out
+HiGHS gains by leaving out pairs, and it is ten times (`benchmarks/trajectories.py`).
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.metrics import trajectories
