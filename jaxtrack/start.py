@@ -27,14 +27,26 @@ def cores() -> None:
     """Makes every core a device, among which `engine` shares runs.
 
     Does nothing where XLA_FLAGS or JAX_NUM_CPU_DEVICES says how many devices there are,
-    or after the first array.
+    or after the first array. LAPACK, which works on large matrices, gets one thread,
+    unless OPENBLAS_NUM_THREADS says otherwise.
     """
     import jax
 
+    one_blas_thread()
     flags = os.environ.get("XLA_FLAGS", "")
     told = DEVICES in flags or jax.config.values["jax_num_cpu_devices"] >= 0
     if not told and not _begun():
         _set_flags(f"{flags} {DEVICES}={_count()}")
+
+
+def one_blas_thread() -> None:
+    """Gives LAPACK, which XLA calls on a CPU, one thread: runs share the cores.
+
+    More of them wait for each other: rmm-mht, whose matrices have up to 40 rows, takes
+    twice as long with two threads on two cores, and 15 times on one. Comes too late
+    after the first array; does nothing where OPENBLAS_NUM_THREADS is set.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def cache() -> None:

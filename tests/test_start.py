@@ -9,12 +9,13 @@ import pytest
 
 from jaxtrack import start
 
+OWN = "JAX", "XLA", "OPENBLAS"  # variables that change how it starts
 ROOT = pathlib.Path(__file__).parent.parent
 
 
 def told_by(code, **environment):
     """Runs Python and returns the words that it prints."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX", "XLA"))}
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(OWN)}
     done = subprocess.run(
         [sys.executable, "-c", code],
         env={**kept, "PYTHONPATH": str(ROOT), **environment},
@@ -48,6 +49,29 @@ CORES = str(len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") el
 def test_cores_are_devices_unless_told_otherwise(before, environment, expected):
     if expected:
         assert told_by(COUNT.format(before=before), **environment) == [expected]
+
+
+THREADS = """
+import re
+import jax
+from jaxtrack import start
+start.cores()
+jax.numpy.linalg.cholesky(jax.numpy.eye(8)).block_until_ready()
+import ctypes
+loaded = open("/proc/self/maps").read()
+for path in set(re.findall(r"/.*libscipy_openblas-.*", loaded)):
+    print(ctypes.CDLL(path).scipy_openblas_get_num_threads())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads which libraries are loaded")
+@pytest.mark.parametrize("told", [None, "2"])
+def test_lapack_has_one_thread_unless_told_otherwise(told):
+    environment = {"OPENBLAS_NUM_THREADS": told} if told else {}
+    counts = told_by(THREADS, **environment)
+    if not counts:
+        pytest.skip("LAPACK is not SciPy's OpenBLAS")
+    assert counts == [told or "1"]
 
 
 FUSED = """
