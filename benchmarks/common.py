@@ -28,7 +28,7 @@ import jax
 import numpy as np
 
 from benchmarks.problems import Problem
-from jaxtrack import engine, start
+from jaxtrack import engine
 from jaxtrack.types import Gaussian
 
 ENOUGH = 0.02  # seconds; calls shorter than this are repeated within a round
@@ -96,10 +96,8 @@ class Row(NamedTuple):
 def pin(cores: int = 1) -> None:
     """Binds all threads of this process, those to come too, to so many cores.
 
-    Must come before jax makes its first array, which counts the cores. LAPACK counted
-    them when it was loaded, and its threads would wait for each other on one core.
+    Must come before jax makes its first array, which counts the cores.
     """
-    start.one_blas_thread()
     if hasattr(os, "sched_setaffinity"):
         chosen = sorted(os.sched_getaffinity(0))[-cores:]
         for thread in os.listdir("/proc/self/task"):

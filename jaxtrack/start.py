@@ -1,7 +1,7 @@
 """How jax starts: as many devices as cores, programs kept on disk, an experiment.
 
 The command line does the first two by itself. In Python, call what you want before the
-first array is made:
+rest of jaxtrack is imported, or at least before the first array is made:
 
     >>> from jaxtrack import start
     >>> start.cache_folder({"XDG_CACHE_HOME": "/data"}).as_posix()
@@ -43,8 +43,9 @@ def one_blas_thread() -> None:
     """Gives LAPACK, which XLA calls on a CPU, one thread: runs share the cores.
 
     More of them wait for each other: rmm-mht, whose matrices have up to 40 rows, takes
-    twice as long with two threads on two cores, and 15 times on one. Comes too late
-    after the first array; does nothing where OPENBLAS_NUM_THREADS is set.
+    twice as long with two threads on two cores, and 10 times on one. Must come before
+    SciPy is imported, as `jaxtrack.engine` does, since its LAPACK makes its threads
+    then; does nothing where OPENBLAS_NUM_THREADS is set.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

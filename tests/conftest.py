@@ -19,6 +19,9 @@ PLAIN_CODE = (
     "--xla_cpu_parallel_codegen_split_count=1",
 )
 
+# Before LAPACK is loaded: on cores that tests share, its threads wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Before the first array is made; processes that a test starts inherit it.
 os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *PLAIN_CODE])
 
