@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from reference import assign as reference
 from scipy import stats
+from test_assign_k_best_of_many import events
 
 from jaxtrack.assign import best, sample
 
@@ -18,9 +19,9 @@ def scores(seed, gate):
     return reference.scores(np.random.default_rng(seed), 4, 4, gate) / 2
 
 
-def surprise(columns, log_score):
+def surprise(columns, listed):
     """The p-value of as many draws of whole joint events."""
-    listed = dict(reference.events(log_score))
+    listed = dict(listed)
     weight = np.exp(np.array(list(listed.values())))
     expected = DRAWS * weight / weight.sum()
     count = dict.fromkeys(listed, 0)
@@ -41,7 +42,7 @@ def test_events_are_as_frequent_as_they_are_likely(gate):
     drawn = jax.jit(jax.vmap(sample.sample, (0, None)))(keys, jnp.asarray(log_score))
     assert drawn.exact.all()
     assert drawn.feasible.all()
-    assert surprise(drawn.column, log_score) > LEAST
+    assert surprise(drawn.column, reference.events(log_score)) > LEAST
 
 
 def test_gibbs_comes_to_the_same_frequencies():
@@ -52,7 +53,20 @@ def test_gibbs_comes_to_the_same_frequencies():
     def walk(key):
         return sample.gibbs(key, jnp.asarray(log_score), 30, start)
 
-    assert surprise(jax.jit(jax.vmap(walk))(keys), log_score) > LEAST
+    assert surprise(jax.jit(jax.vmap(walk))(keys), reference.events(log_score)) > LEAST
+
+
+def test_a_walk_comes_to_every_way_of_having_no_detection():
+    """Three tracks and detections, absent or missed; one cannot be missed."""
+    log_score = np.random.default_rng(5).normal(size=(3, 5))
+    log_score[0, 3], log_score[1, 0] = -INF, -INF
+    keys = jax.random.split(jax.random.key(2), DRAWS)
+    start = jnp.full(3, 4)
+
+    def go(key):
+        return sample.walk(key, jnp.asarray(log_score), 8, start, ways=2)[-1]
+
+    assert surprise(jax.jit(jax.vmap(go))(keys), events(log_score)) > LEAST
 
 
 def test_large_clusters_are_walked_and_told():
@@ -66,7 +80,7 @@ def test_large_clusters_are_walked_and_told():
     )
     drawn = draw(keys)
     np.testing.assert_array_equal(drawn.exact[0], [False] * 4 + [True])
-    assert surprise(drawn.column, log_score) > LEAST
+    assert surprise(drawn.column, reference.events(log_score)) > LEAST
 
 
 def test_nothing_feasible_and_nothing_detected_leave_all_missed():

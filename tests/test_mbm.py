@@ -11,7 +11,7 @@ from reference import bernoullis
 from test_pmbm import run as run_tracker
 
 from jaxtrack.models import birth
-from jaxtrack.trackers import mbm
+from jaxtrack.trackers import glmb, mbm
 
 SIZES = 1, 2
 NUM, MAX = 6, 6
@@ -63,10 +63,12 @@ def drawn():
 
 @functools.cache
 def found(name):
-    if name == "mbm":
-        tracker = mbm.mbm(scenes.target, exist_threshold=0.0, **ROOM)
-    else:
-        tracker = mbm.mbm01(scenes.target, **ROOM)
+    tracker = {
+        "mbm": lambda: mbm.mbm(scenes.target, exist_threshold=0.0, **ROOM),
+        "mbm01": lambda: mbm.mbm01(scenes.target, **ROOM),
+        "glmb": lambda: glmb.glmb(scenes.target, method="k-best", **ROOM),
+        "glmb drawn": lambda: glmb.glmb(scenes.target, num_sweeps=20, **ROOM),
+    }[name]()
     many = jax.jit(jax.vmap(functools.partial(run, tracker=tracker)))
     return jax.tree.map(np.asarray, many(*map(scenes.stacked, drawn())))
 
@@ -85,7 +87,7 @@ def known():
     return answers
 
 
-@pytest.mark.parametrize("name", ["mbm", "mbm01"])
+@pytest.mark.parametrize("name", ["mbm", "glmb"])
 def test_it_is_the_recursion_over_sets(name):
     """Sets, numbers, places and evidence; who is there is summed out or said."""
     state, estimate, log_evidence = found(name)
@@ -124,9 +126,53 @@ def test_it_is_the_recursion_over_sets(name):
 
 
 def test_hypotheses_that_know_who_is_there_say_yes_or_no():
-    state, estimate, _ = found("mbm01")
+    state, estimate, _ = found("glmb")
     assert set(np.unique(state.trees.existence_prob).round(12)) == {0.0, 1.0}
     assert (estimate.dropped < 1e-12).all()  # roundings of sums of order one
+
+
+def test_glmb_by_k_best_is_mbm01_that_reports_the_likeliest_number():
+    room = {**ROOM, "max_hypotheses": 40}
+    own = glmb.glmb(scenes.target, method="k-best", **room).step
+    other = mbm.mbm01(scenes.target, **room).step
+    assert own.func is other.func
+    (given,), (same,) = own.args, other.args
+    assert given == same._replace(estimator="number")
+    _, estimate, _ = found("glmb")
+    for k, (sets, _) in enumerate(known()):
+        number = np.zeros(MAX + 1)
+        for key, (prob, _) in sets.items():
+            number[len(key)] += prob
+        assert estimate.exists[k].sum() == number.argmax()
+        alike = [
+            (w, key) for key, (w, _) in sets.items() if len(key) == number.argmax()
+        ]
+        heaviest = {"start 0": 0, "0 0": 1, "1 0": 2}
+        labels = {heaviest[member[0]] for member in max(alike)[1]}
+        assert set(estimate.label[k][estimate.exists[k]]) == labels
+
+
+def test_drawn_children_have_their_weights():
+    """None counts for more than it should, and the heavy ones are all found."""
+    (state, _, log_evidence), (exact, _, expected) = found("glmb drawn"), found("glmb")
+    share = np.exp(log_evidence - expected)
+    assert (share > 0.99).all()
+    for k in range(NUM):
+        drawn, all_of_them = (
+            np.sort(
+                list(
+                    bernoullis.kept_apart(
+                        np.exp(one.hypotheses.log_weight[k]),
+                        one.hypotheses.leaf[k],
+                        one.trees.existence_prob[k],
+                    ).values()
+                )
+            )[::-1]
+            for one in (state, exact)
+        )
+        drawn, all_of_them = share[k] * drawn, all_of_them[: drawn.size]
+        assert (drawn <= all_of_them * (1 + 1e-9)).all()
+        assert (drawn >= 0.8 * all_of_them)[all_of_them > 1e-3].all()
 
 
 def test_births_of_another_kind_are_refused():

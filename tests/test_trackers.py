@@ -48,6 +48,7 @@ EQUAL_BIRTHS = {
     "gnn",
     "ipda",
     "jpda",
+    "lmb",
     *HYPOTHESES,
 }
 every_tracker = pytest.mark.parametrize("name", NAMES)

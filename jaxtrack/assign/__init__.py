@@ -27,6 +27,7 @@ from jaxtrack.assign import (
     multiscan,
     paths,
     sample,
+    sample_of_many,
     soft,
     subsets,
 )
@@ -44,6 +45,7 @@ __all__ = [
     "multiscan",
     "paths",
     "sample",
+    "sample_of_many",
     "soft",
     "subsets",
 ]

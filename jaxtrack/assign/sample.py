@@ -3,7 +3,8 @@
 `sample` draws them exactly: the table of `subsets.backward` tells the weight of all
 that may follow, so each detection's track is drawn given those before. `gibbs` draws
 the column of one track after another given all others, which is near the truth after
-many sweeps; `sample` falls back on it for clusters that are too large.
+many sweeps; `sample` falls back on it for clusters that are too large. `walk` gives all
+the events on the way.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -21,6 +22,7 @@ import jax.numpy as jnp
 from jaxtrack.assign import clusters, subsets
 from jaxtrack.assign.best import solvable
 from jaxtrack.assign.exact import MAX_CLUSTER
+from jaxtrack.resampling import running
 from jaxtrack.types import Array
 
 
@@ -115,6 +117,13 @@ def _draw(key: Array, steps: subsets.Step, order: clusters.Steps) -> Array:
 
 
 def gibbs(key: Array, log_score: Array, num_sweeps: int, start: Array) -> Array:
+    """Draws a joint event by Gibbs sampling: the last one of `walk`, [N]."""
+    return walk(key, log_score, num_sweeps, start)[-1]
+
+
+def walk(
+    key: Array, log_score: Array, num_sweeps: int, start: Array, ways: int = 1
+) -> Array:
     """Draws joint events by Gibbs sampling.
 
     Each track in turn draws its column given those of the others. Where tracks cannot
@@ -123,26 +132,37 @@ def gibbs(key: Array, log_score: Array, num_sweeps: int, start: Array) -> Array:
 
     Args:
         key: Random key.
-        log_score: [N, K + 1], the miss last, -inf where impossible.
-        num_sweeps: How often every track draws.
+        log_score: [N, K + W], -inf where impossible; the last W columns are ways of
+            having no detection, and any number of tracks may have them.
+        num_sweeps: How often every track draws, S.
         start: Columns of a joint event that is possible, [N], such as that of `best`.
+        ways: W.
 
     Returns:
-        The columns of the last event, [N].
+        The columns after each sweep, [S, N].
     """
     num_tracks, num_columns = log_score.shape
     columns, tracks = jnp.arange(num_columns), jnp.arange(num_tracks)
+    start = start.astype(tracks.dtype)
+    detection = columns < num_columns - ways
+    held = jnp.zeros(num_columns, bool).at[start].set(True) & detection
 
-    def one(column: Array, given: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        track, row, noise = given
-        held = (column[:, None] == columns[None]) & (tracks != track)[:, None]
-        free = ~held.any(0) | (columns == num_columns - 1)
-        drawn = jnp.argmax(jnp.where(free, row, -jnp.inf) + noise)
-        return column.at[track].set(drawn), None
+    def one(held: Array, given: tuple) -> tuple[Array, Array]:
+        own, row, share = given
+        others = held & (columns != own)
+        free = jnp.where(others, -jnp.inf, row)
+        ahead = running(jnp.exp(free - free.max()))
+        # Rounding must not choose what is impossible, nor nothing.
+        beyond = (ahead > share * ahead[-1]) & (free > -jnp.inf)
+        first = jnp.where(beyond, columns, num_columns).min()
+        drawn = jnp.where(first < num_columns, first, own)
+        return others | (columns == drawn) & detection, drawn
 
-    def sweep(column: Array, key: Array) -> tuple[Array, None]:
-        noise = jax.random.gumbel(key, log_score.shape, log_score.dtype)
-        return jax.lax.scan(one, column, (tracks, log_score, noise))[0], None
+    def sweep(state: tuple, key: Array) -> tuple[tuple, Array]:
+        held, column = state
+        share = jax.random.uniform(key, tracks.shape, log_score.dtype)
+        state = jax.lax.scan(one, held, (column, log_score, share))
+        return state, state[1]
 
     keys = jax.random.split(key, num_sweeps)
-    return jax.lax.scan(sweep, start.astype(tracks.dtype), keys)[0]
+    return jax.lax.scan(sweep, (held, start), keys)[1]

@@ -27,12 +27,15 @@ References: see `pmbm`.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import mixture
+from jaxtrack.assign.k_best_of_many import Found, k_best_of_many
+from jaxtrack.assign.sample_of_many import sample_of_many
 from jaxtrack.trackers import (
     arrivals,
     association,
@@ -74,7 +77,8 @@ class Settings(NamedTuple):
     """The maker's arguments; see `pmbm`.
 
     `hides` says that targets are undetected until a detection begins their track, and
-    `certain` that every hypothesis says of each target whether it is there.
+    `certain` that every hypothesis says of each target whether it is there. With
+    `num_sweeps` above 0 children are found by so many sweeps of Gibbs sampling.
     """
 
     target: Target
@@ -90,6 +94,7 @@ class Settings(NamedTuple):
     recycle_threshold: float
     estimator: str
     report_threshold: float
+    num_sweeps: int = 0
 
 
 def make(settings: Settings) -> Tracker:
@@ -154,6 +159,7 @@ def _step(
         met.log_new,
         settings.max_children,
         settings.max_contested,
+        _finder(settings, seed),
     )
     trees, hypotheses, label = _grow(settings, params, parents, met, children, scan)
     proposed = jnp.logaddexp(children.log_total, children.log_left)
@@ -173,6 +179,14 @@ def _step(
         dropped=dropped + missing, log_loss=children.log_loss.astype(dropped.dtype)
     )
     return State(trees, hypotheses, hidden, label, key), estimate
+
+
+def _finder(settings: Settings, key: Array) -> Callable[..., Found]:
+    """Returns how children are found: the heaviest of all, or of those drawn."""
+    if not settings.num_sweeps:
+        return k_best_of_many
+    key = jax.random.fold_in(key, 1)
+    return functools.partial(sample_of_many, key, num_sweeps=settings.num_sweeps)
 
 
 def _meet(

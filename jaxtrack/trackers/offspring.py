@@ -18,13 +18,14 @@ mixture filter: direct derivation and implementation", IEEE Trans. Aerospace and
 Electronic Systems 54(4), 2018, section VI.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import mixture
-from jaxtrack.assign.k_best_of_many import k_best_of_many
+from jaxtrack.assign.k_best_of_many import Found, k_best_of_many
 from jaxtrack.trackers.global_hypotheses import Hypotheses
 from jaxtrack.types import Array
 
@@ -76,6 +77,7 @@ def follow(
     log_new: Array,
     max_children: int,
     max_contested: int | None = None,
+    find: Callable[..., Found] = k_best_of_many,
 ) -> Offspring:
     """Finds the heaviest children of all hypotheses.
 
@@ -87,6 +89,7 @@ def follow(
         log_new: What a detection counts that no old tree has, [K].
         max_children: E.
         max_contested: Room for contested trees, and for detections; None for all.
+        find: As `k_best_of_many`: (scores, weights, max_children, ways=) -> Found.
     """
     num_trees, _, num_columns = log_score.shape
     last, live = num_columns - 1, parents.leaf >= 0
@@ -95,7 +98,7 @@ def follow(
     tree, known = jnp.arange(num_trees)[None], jnp.maximum(parents.leaf, 0)
     missed = jnp.where(live & ~held[None], log_score[tree, known, last], 0.0).sum(1)
     scores = _scores(parents, log_score, log_absent, log_new, contest)
-    found = k_best_of_many(
+    found = find(
         scores,
         parents.log_weight + missed,
         max_children,

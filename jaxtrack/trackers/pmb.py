@@ -32,6 +32,7 @@ from jaxtrack.trackers import (
     association,
     bernoulli,
     jpda,
+    projection,
     thinning,
     undetected,
 )
@@ -131,16 +132,7 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     tracks = bernoulli.nobody(
         target, params.target, arrivals.modes(params), settings.max_tracks, keys[1]
     )
-    if params.start is not None:
-        known = bernoulli.begin(
-            target, params.target, params.start, jnp.array(0), keys[2]
-        )
-        if (room := settings.max_tracks - len(known.label)) < 0:
-            raise ValueError(
-                f"start has {len(known.label)} targets and max_tracks is "
-                f"{settings.max_tracks}; make room for them"
-            )
-        tracks = bernoulli.append(known, jax.tree.map(lambda x: x[:room], tracks))
+    tracks = projection.begin(target, params, tracks, keys[2])
     number = (tracks.label >= 0).sum()
     return State(tracks, hidden, number, keys[3])
 
@@ -194,13 +186,7 @@ def _project(
     state: State,
 ) -> Tracks:
     """Returns the old tracks, each over all that it may have, and the new ones."""
-    target = settings.target
-    exists = association.existence(tracks, sight, answer)
-    belief = association.blend(target, params.target, sight, answer, scan)
-    adapt = jax.vmap(target.adapt, (None, 0, 0))
-    old = tracks._replace(
-        existence_prob=exists, belief=adapt(params.target, belief, exists)
-    )
+    old = projection.update(settings.target, params.target, tracks, sight, answer, scan)
     label = state.next_label + jnp.cumsum(scan.valid) - 1
     new = Tracks(
         existence_prob=answer.unexplained_prob * jax.nn.sigmoid(firsts.log_score),
@@ -221,9 +207,9 @@ def _thin(
         hidden = undetected.add(hidden, number, tracks.belief)
         prob = prob - number
     hidden, unseen = undetected.reduce(hidden, settings.max_undetected)
-    kept = jnp.where(prob > settings.exist_threshold, prob, 0.0)
-    likely, slot = jax.lax.top_k(kept, settings.max_tracks)
-    some = jax.tree.map(lambda x: x[slot], tracks)
-    label = jnp.where(likely > 0, some.label, -1)
-    lost = jnp.maximum(prob.sum() - likely.sum(), 0.0) + unseen
-    return some._replace(existence_prob=likely, label=label), hidden, lost
+    some, lost = projection.keep(
+        tracks._replace(existence_prob=prob),
+        settings.max_tracks,
+        settings.exist_threshold,
+    )
+    return some, hidden, lost + unseen

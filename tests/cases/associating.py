@@ -7,7 +7,7 @@ from cases import trackers as cases
 
 from jaxtrack.models import birth, pairs
 from jaxtrack.targets import imm, single
-from jaxtrack.trackers import gnn, jpda, management, nearest, pda
+from jaxtrack.trackers import gnn, jpda, lmb, management, nearest, pda, undetected
 from jaxtrack.trackers.single_scan import Params
 
 TIGHT = {"max_tracks": 4, "max_births": cases.PADDED}
@@ -53,6 +53,12 @@ def case(maker, births, target=None, params=None, tight=TIGHT, start=None):
     )
 
 
+def lmb_case():
+    """With births where the last scan left detections unexplained."""
+    plain = case(lmb.lmb, one_point())
+    return plain._replace(params=undetected.Params(*plain.params[:3]))
+
+
 QUICK = management.MofN(2, 3, 2, 3)
 TESTED = management.ScoreTest(1e-2, 1e-2, 3.0)
 CASES = {
@@ -71,4 +77,5 @@ CASES = {
     "jipda": lambda: case(
         jpda.jipda, cases.line_births(2), imm.imm(), cases.two_mode_params()
     ),
+    "lmb": lmb_case,
 }

@@ -10,6 +10,7 @@ from jaxtrack.models import birth
 from jaxtrack.targets import imm, single
 from jaxtrack.trackers import (
     clustered_mht,
+    glmb,
     hypothesis_mht,
     mht,
     pmbm,
@@ -71,6 +72,18 @@ def rmm_case():
     )
 
 
+def glmb_case():
+    """At most one target is born at a place."""
+    room = {"max_hypotheses": 12, "num_sweeps": 8}
+    plain = line_case(glmb.glmb, single.single(), trackers.single_params(), 1, **room)
+    places = trackers.line_births(1)
+    return plain._replace(
+        params=plain.params._replace(birth=places, undetected=None),
+        capacities={"max_tracks": 3, "max_leaves": 4, **room},
+        large={"max_tracks": 12, "max_leaves": 8, **room},
+    )
+
+
 CASES = {
     "hypothesis_mht": lambda: line_case(
         hypothesis_mht.hypothesis_mht,
@@ -100,4 +113,5 @@ CASES = {
         max_hypotheses=12,
     ),
     "rmm_mht": rmm_case,
+    "glmb": glmb_case,
 }

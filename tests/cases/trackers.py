@@ -238,7 +238,7 @@ def associating_case(name):
     return associating.CASES[name]()
 
 
-ASSOCIATING = ("nearest", "gnn", "ipda", "jpda", "jipda")
+ASSOCIATING = ("nearest", "gnn", "ipda", "jpda", "jipda", "lmb")
 CASES |= {name: functools.partial(associating_case, name) for name in ASSOCIATING}
 
 
@@ -255,14 +255,16 @@ HYPOTHESES = (
     "mht_detection_birth",
     "rmm_mht",
     "pmbm",
+    "glmb",
 )
 CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
 # Slopes stop where particles are resampled, and other digits draw other numbers.
-SAMPLED = {"cbmember_particles"}
+SAMPLED = {"cbmember_particles", "glmb"}
 # They compile for long.
 SECOND_VARIANTS = {
     "cbmember_far_field",
     "rmm_mht",
+    "glmb",
 }
 
 
