@@ -9,7 +9,9 @@ While they are side by side nobody can say which detection is whose. A tracker t
 averages over that, as JPDA does, puts both tracks between the targets: they coalesce.
 JPDA*, set JPDA and GNN do not average. `bayes` is what all of them approximate, the
 filter over the heaviest association histories: its mean averages, too, where it truly
-cannot know, and `bayes-map` tells of the heaviest history alone.
+cannot know, and `bayes-map` tells of the heaviest history alone. `mht` and `mcmcda`
+find it over the last scans, by the tracks' trees and by a Markov chain; `pmht` finds
+the two paths that all detections of five scans suit best, softly shared.
 
     >>> from jaxtrack.scenarios import parallel_pair
     >>> state = parallel_pair.make(gap=15.0).world.truth.state
@@ -20,7 +22,7 @@ cannot know, and `bayes-map` tells of the heaviest history alone.
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.models.birth import MultiBernoulliBirth
+from jaxtrack.models.birth import MultiBernoulliBirth, PoissonBirth
 from jaxtrack.models.clutter import UniformClutter
 from jaxtrack.models.motion import ConstantVelocity
 from jaxtrack.models.probability import Constant
@@ -33,9 +35,14 @@ from jaxtrack.trackers import (
     jpda,
     jpda_star,
     management,
+    mcmcda,
+    mht,
     nearest,
+    pmht,
+    pmht_batch,
     set_jpda,
     single_scan,
+    undetected,
 )
 from jaxtrack.types import Tracker
 
@@ -66,22 +73,25 @@ def make(
     sensor = Position(SENSOR_STD * jnp.ones(2))
     detect = Constant(jnp.asarray(detect_prob, float))
     told = truth(gap)
-    params = single_scan.Params(
-        target=single.Params(motion, sensor, Constant(jnp.ones(())), detect),
-        birth=None,
-        clutter=clutter,
-        start=MultiBernoulliBirth(
-            existence_prob=jnp.ones(2),
-            mean=told.state[0],
-            cov=jnp.tile(jnp.diag(jnp.array(START_STD * 2) ** 2), (2, 1, 1)),
-            mode_prob=jnp.ones((2, 1)),
-        ),
+    target = single.Params(motion, sensor, Constant(jnp.ones(())), detect)
+    start = MultiBernoulliBirth(
+        existence_prob=jnp.ones(2),
+        mean=told.state[0],
+        cov=jnp.tile(jnp.diag(jnp.array(START_STD * 2) ** 2), (2, 1, 1)),
+        mode_prob=jnp.ones((2, 1)),
     )
+    scan_by_scan = single_scan.Params(target, None, clutter, start)
+    nobody = PoissonBirth(jnp.zeros(2), *start[1:])
+    over_scans = undetected.Params(target, nobody, clutter, start=start)
     return Scenario(
         name="parallel-pair",
         summary="two targets side by side, closer than the noise, for a while",
         world=World(told, motion, sensor, detect, clutter),
-        trackers={name: (tracker, params) for name, tracker in _trackers().items()},
+        trackers={
+            **{name: (tracker, scan_by_scan) for name, tracker in _trackers().items()},
+            **{name: (tracker, over_scans) for name, tracker in _searches().items()},
+            "pmht": (pmht.pmht(), pmht_batch.Params(target, clutter, start)),
+        },
         max_detections=slots_for(2, clutter_rate),
         cutoff=100.0,
         order=2.0,
@@ -101,6 +111,14 @@ def _trackers() -> dict[str, Tracker]:
         "set-jpda": set_jpda.set_jpda(target, max_events=20, **two),
         "bayes": hypotheses.hypotheses(target, **few),
         "bayes-map": hypotheses.hypotheses(target, **few, report="best"),
+    }
+
+
+def _searches() -> dict[str, Tracker]:
+    target = single.single()
+    return {
+        "mht": mht.mht(target, max_tracks=2),
+        "mcmcda": mcmcda.mcmcda(target, max_tracks=3, max_detections=16),
     }
 
 
