@@ -129,6 +129,38 @@ def test_the_others_are_near(name, most, usual):
         assert ((lost > -1e-10) & (lost < most)).all()
 
 
+def test_births_begin_where_nobody_was_under_labels_of_their_own():
+    births = birth.DetectionBirth(
+        jnp.array(0.3), jnp.array(0.5), jnp.ones(1), jnp.zeros(0), jnp.ones(1)
+    )
+    tracker = lmb.lmb(
+        scenes.target, "belief", **{**ROOM, "max_tracks": 6}, max_births=3
+    )
+
+    @jax.jit
+    def run(drawn):
+        params = params_of(drawn)._replace(birth=births, start=None)
+        places = jnp.array([[-9.0], [0.0], [9.0]])
+        scan = Scan(places, jnp.ones(3, bool), jnp.array(scenes.INTERVAL))
+        state = tracker.init(params, jax.random.key(0))
+        step = functools.partial(tracker.step, params)
+
+        def on(state, _):
+            state, _ = step(state, scan)
+            return state, state.tracks
+
+        return jax.lax.scan(on, state, length=2)[1]
+
+    tracks = run(draw(0))
+    for k in range(2):
+        there = tracks.existence_prob[k] > 0
+        labels = np.sort(tracks.label[k][there])
+        np.testing.assert_array_equal(labels, np.arange(3 * k + 3))
+        # Its number is the rate, shared among the detections.
+        new = tracks.existence_prob[k, 6:].sum()
+        np.testing.assert_allclose(new, 0.3 * scenes.INTERVAL, rtol=1e-9)
+
+
 def test_it_reports_as_many_as_it_is_likeliest_that_there_are():
     estimate = told("auto")[2]
     for prob, exists in zip(estimate.existence_prob, estimate.exists, strict=True):

@@ -292,7 +292,21 @@ def test_settings_reach_the_tracker_of_mixtures():
     assert (limits.exist_threshold, made.gating.prob) == (1e-2, 0.9)
 
 
-FOLLOWERS = {"cbmember", "mht", "pmbm"}
+def test_settings_reach_the_tracker_of_labels():
+    chosen = settings.Algorithm(
+        name="lmb",
+        max_tracks=7,
+        max_births=3,
+        gate_prob=0.9,
+        prune_threshold=1e-2,
+        report_threshold=0.4,
+    )
+    made = tracking.algorithm(chosen, imm.imm()).step.args[0]
+    assert (made.max_tracks, made.max_births, made.report_threshold) == (7, 3, 0.4)
+    assert (made.exist_threshold, made.gating.prob) == (1e-2, 0.9)
+
+
+FOLLOWERS = {"cbmember", "lmb", "mht", "pmbm"}
 
 
 @pytest.mark.parametrize("name", sorted({*settings.ALGORITHMS} - FOLLOWERS))

@@ -44,6 +44,7 @@ from jaxtrack.trackers import (
     gnn,
     jpda,
     jpda_star,
+    lmb,
     management,
     mht,
     nearest,
@@ -67,6 +68,7 @@ CERTAIN: dict[str, Callable[..., Tracker]] = {
 INTEGRATED: dict[str, Callable[..., Tracker]] = {"ipda": pda.ipda, "jipda": jpda.jipda}
 FAMILIES: dict[str, Any] = {
     "cbmember": cbmember,
+    "lmb": undetected,
     "mht": undetected,
     "pmbm": undetected,
 }
@@ -193,7 +195,7 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
         return cbmember.cbmember(
             target, **{name: given[name] for name in own if name in given}
         )
-    if chosen.name in ("mht", "pmbm"):
+    if chosen.name in ("lmb", "mht", "pmbm"):
         return _follower(chosen, target)
     choices = options.Options(
         max_tracks=known(chosen.max_tracks),
@@ -214,7 +216,17 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
 
 
 def _follower(chosen: Algorithm, target: Target) -> Tracker:
-    """Makes one of those that follow hypotheses."""
+    """Makes one of those that follow hypotheses, or the labels of targets alone."""
+    if chosen.name == "lmb":
+        return lmb.lmb(
+            target,
+            max_tracks=known(chosen.max_tracks),
+            max_births=known(chosen.max_births),
+            gate_prob=chosen.gate_prob,
+            exist_threshold=chosen.prune_threshold,
+            estimator="heaviest",
+            report_threshold=chosen.report_threshold,
+        )
     if chosen.name == "mht":
         return mht.mht(
             target,
