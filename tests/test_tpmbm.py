@@ -10,12 +10,16 @@ from cases import small_scenes as scenes
 
 from jaxtrack.models.birth import MultiBernoulliBirth
 from jaxtrack.trackers import (
+    forest,
+    growing,
     mbm,
     mht,
     pmbm,
+    retrodiction,
     tmbm,
     tpmbm,
     trajectories,
+    undetected,
 )
 from jaxtrack.types import Scan
 
@@ -125,6 +129,11 @@ def test_a_trajectory_is_smoothed_grows_and_ends():
         mine = int(np.argmax(paths.label[t] == 0))
         place = paths.mean[t, mine, 0]
         np.testing.assert_allclose(place, later.mean[t, at], rtol=1e-9)
+    at = int(np.argmax(paths.label[3] == 0))
+    filtered = paths.filtered[:4, at, -1]
+    np.testing.assert_allclose(paths.filtered[3, at, 1:], filtered[1:], rtol=1e-12)
+    np.testing.assert_allclose(filtered[3], told.mean[3, at], rtol=1e-12)
+    assert (abs(paths.filtered - paths.mean)[3, at, 1:-1] > 1e-4).any()
     found = trajectories.assemble(paths, max_trajectories=2)
     assert found.label.tolist() == [0, -1]
     assert found.dropped == 0
@@ -152,6 +161,7 @@ def test_what_finds_no_room_is_counted():
     paths = trajectories.Paths(
         mean=jnp.arange(3.0).reshape(1, 3, 1, 1),
         cov=jnp.ones((1, 3, 1, 1, 1)),
+        filtered=jnp.zeros((1, 3, 1, 1)),
         alive_prob=jnp.ones((1, 3, 1)),
         alive=jnp.ones((1, 3, 1), bool),
         label=label,
@@ -203,3 +213,30 @@ def test_births_of_the_other_kind_are_refused():
         PAIRS["multi-Bernoulli"][0].init(scenes.params_of(scenes.draw(0)), KEY)
     with pytest.raises(ValueError, match="birth is a MultiBernoulliBirth"):
         PAIRS["poisson"][0].init(params, KEY)
+
+
+def test_a_tree_is_awaited_where_its_detection_was_likely_of_a_target():
+    exists = jnp.array([[[1e-6, 1e-7]], [[0.9, 0.5]], [[0.9, 0.9]]])
+    seen = jnp.array([[[True, False]], [[True, False]], [[True, True]]])
+    gain = jnp.log(jnp.array([[[1.0, 1.0]], [[1.0, 0.2]], [[1.0, 1.0]]]))
+    history = retrodiction.History(None, exists, gain, seen, jnp.ones(2), 2)
+    found = retrodiction.awaited(history, jnp.array([0, 0, -1]), 2 * jnp.ones(3), 1e-3)
+    assert found.tolist() == [False, True, False]
+    # What was before a tree began says nothing of it.
+    found = retrodiction.awaited(history, jnp.zeros(3, int), jnp.array([2, 1, 1]), 1e-3)
+    assert found.tolist() == [False, False, True]
+
+
+def test_trees_begin_with_the_likeliest_detections():
+    drawn, key = scenes.draw(0), jax.random.key(0)
+    params = scenes.params_of(drawn)
+    trees = forest.begin(scenes.target, params, (2, 3, 1), key)
+    belief = jax.tree.map(lambda x: jnp.repeat(x[:1, 0], 3, axis=0), trees.belief)
+    score = jnp.log(jnp.array([1.0, 0.25, 3.0]))
+    firsts = undetected.Firsts(score, belief, None, jnp.zeros(()))
+    grown, label, lost = growing.plant(True, 2, trees, firsts, jnp.array(5))
+    assert grown.label.tolist() == [-1, -1, 5, 6]
+    assert grown.past[2:, 0, -1].tolist() == [0, 2]
+    np.testing.assert_allclose(grown.existence_prob[2:, 0], [0.5, 0.75])
+    np.testing.assert_allclose(lost, 0.2)
+    assert label == 7

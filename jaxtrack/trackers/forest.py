@@ -222,6 +222,7 @@ def plant(
     firsts: Firsts,
     next_label: Array,
     existence_prob: Array | None = None,
+    detection: Array | None = None,
 ) -> tuple[Forest, Array]:
     """Adds a tree for each detection, of a target detected for the first time.
 
@@ -230,6 +231,7 @@ def plant(
         firsts: K first detections.
         next_label: The first free label.
         existence_prob: That there is such a target, [K]; 1 if None.
+        detection: Which ones of the scan these are, [K] (int); all if None.
 
     Returns:
         N + K trees, of which those of impossible detections are empty, and the next
@@ -240,7 +242,7 @@ def plant(
     here = jnp.arange(leaves)[None] == 0
     there = here & (firsts.log_score > -jnp.inf)[:, None]
     past = jnp.full((num, leaves, scans), -1, forest.past.dtype)
-    detection = jnp.arange(num, dtype=past.dtype)
+    mine = jnp.arange(num) if detection is None else detection
     alive = there[:, 0]
     sure = jnp.ones_like(firsts.log_score)
     exists = sure if existence_prob is None else existence_prob
@@ -251,7 +253,7 @@ def plant(
             lambda x: jnp.broadcast_to(x[:, None], (num, leaves, *x.shape[1:])),
             firsts.belief,
         ),
-        past=past.at[:, 0, -1].set(jnp.where(alive, detection, -1)),
+        past=past.at[:, 0, -1].set(jnp.where(alive, mine.astype(past.dtype), -1)),
         label=jnp.where(alive, next_label + jnp.cumsum(alive) - 1, -1),
         age=alive.astype(forest.age.dtype),
     )

@@ -97,20 +97,39 @@ def grow(
 
 
 def plant(
-    bernoulli: bool, trees: Forest, firsts: undetected.Firsts, next_label: Array
-) -> tuple[Forest, Array]:
-    """Begins a tree with each detection; returns the next free label, too.
+    bernoulli: bool,
+    max_begun: int | None,
+    trees: Forest,
+    firsts: undetected.Firsts,
+    next_label: Array,
+) -> tuple[Forest, Array, Array]:
+    """Begins a tree with each detection.
 
     Args:
         bernoulli: Whether that the detection is false is part of what the tree says,
             as a probability that there is no target, and no hypothesis of its own.
+        max_begun: Trees begun at most, those likeliest to be a target; None for all.
         trees: N.
         firsts: K first detections.
         next_label: The first free label.
+
+    Returns:
+        All trees, the next free label, and the expected number of targets with whose
+        detections none was begun.
     """
-    if not bernoulli:
-        return forest.plant(trees, firsts, next_label)
     first = firsts.log_score
-    weight = jnp.where(first > -jnp.inf, arrivals.log_new(firsts), -jnp.inf)
-    exists = jax.nn.sigmoid(first)
-    return forest.plant(trees, firsts._replace(log_score=weight), next_label, exists)
+    possible = first > -jnp.inf
+    exists = jnp.where(possible, jax.nn.sigmoid(jnp.where(possible, first, 0.0)), 0.0)
+    detection, lost = jnp.arange(first.size), jnp.zeros_like(firsts.found)
+    if max_begun is not None and max_begun < first.size:
+        detection = jnp.sort(jax.lax.top_k(exists, max_begun)[1])
+        lost = jnp.maximum(exists.sum() - exists[detection].sum(), 0.0)
+    some = firsts._replace(
+        log_score=first[detection],
+        belief=jax.tree.map(lambda x: x[detection], firsts.belief),
+    )
+    if not bernoulli:
+        return *forest.plant(trees, some, next_label, None, detection), lost
+    weight = jnp.where(possible, arrivals.log_new(firsts), -jnp.inf)[detection]
+    some = some._replace(log_score=weight)
+    return *forest.plant(trees, some, next_label, exists[detection], detection), lost

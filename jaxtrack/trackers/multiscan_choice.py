@@ -73,6 +73,8 @@ ROUNDING = 100.0  # errors of a sum
 # digits of the sum.
 CLAIM = 200.0
 
+PRICED = multiscan.lagrangian.lagrangian, multiscan.decomposition.decomposition
+
 Chooser = Callable[[Forest, Array, Array, int], Choice]
 
 
@@ -115,24 +117,27 @@ def _choose(
     """Finds the best hypothesis, and others."""
     problem, lost, begun = _problem(bernoulli, trees, sure, num)
     none = problem.log_score[:, -1]
-    found = solve(problem, num)
-    label = multiscan.problem.label(problem, num)
     # Where a solver finds nothing there is what is possible at any rate.
     last = problem.log_score.shape[1] - 1
-    safe = jnp.where(held, 0, jnp.where(trees.label < 0, -1, last))
-    leaf = jnp.stack([found.leaf, safe.astype(jnp.int32)])
+    safe = jnp.where(held, 0, jnp.where(trees.label < 0, -1, last)).astype(jnp.int32)
+    places = num * trees.past.shape[2]
+    # Who began a tree and who else wants the detection have the claim, so it costs it.
+    claim = jnp.zeros(places + 1, none.dtype).at[begun].set(CLAIM)[:-1]
+    guess = {"price": claim.reshape(-1, num), "leaf": safe} if solve in PRICED else {}
+    found = solve(problem, num, **guess)
+    label = multiscan.problem.label(problem, num)
+    leaf = jnp.stack([found.leaf, safe])
     possible = _possible(problem, found.leaf, num, label)
     there = jnp.stack([possible, jnp.ones_like(possible)])
     beam = None
     if max_hypotheses > 1:
         # Those that find no prices leave it to the beam to find some.
-        price = None if solve in (_exact, multiscan.greedy.greedy) else found.price
+        price = found.price if solve in PRICED else None
         beam = multiscan.beam.beam(problem, num, max_hypotheses, price)
         leaf = jnp.concatenate([leaf, beam.leaf])
         there = jnp.concatenate([there, beam.log_score > -jnp.inf])
     there = there & ~_repeated(leaf, there, trees.label < 0, label)
     leaf = jnp.where(leaf < trees.log_score.shape[1], leaf, -1)
-    places = num * trees.past.shape[2]
     claimed = begun < places
     if bernoulli:
         used = first_claims.places(trees, num)
@@ -146,13 +151,15 @@ def _choose(
     if beam is None:
         one = best[None], top[None], label, best, total[None]
         return Choice(*one, log_loss, claimed)
-    log_joint = multiscan.beam.together(beam).log_score
-    # The lists by clusters may lack the best, where the solver has it.
-    slack = ROUNDING * jnp.finfo(total.dtype).eps * jnp.abs(total)
-    found_more = total > log_joint[0] + slack
-    with_best = jnp.concatenate([total[None], log_joint[:-1]])
-    log_joint = jnp.where(found_more, with_best, log_joint)
+    log_joint = _with_best(multiscan.beam.together(beam).log_score, total)
     return Choice(leaf, log_weight, label, best, log_joint, log_loss, claimed)
+
+
+def _with_best(log_joint: Array, best: Array) -> Array:
+    """Returns a list [H] that begins with the best, which the solver may have alone."""
+    slack = ROUNDING * jnp.finfo(best.dtype).eps * jnp.abs(best)
+    longer = jnp.concatenate([best[None], log_joint[:-1]])
+    return jnp.where(best > log_joint[0] + slack, longer, log_joint)
 
 
 def _problem(

@@ -151,17 +151,24 @@ def keep(history: History, kept: Array) -> History:
     return History(belief, exists, gain, seen, history.interval, history.num)
 
 
-def awaited(history: History, best: Array) -> Array:
-    """Tells which trees were detected in one of the last W scans, [N] (bool).
+def awaited(history: History, best: Array, age: Array, threshold: float = 0.0) -> Array:
+    """Tells whose detections in the last W scans were likely of a target, [N] (bool).
 
     They stay, dead or alive, until that scan is reported.
 
     Args:
         history: Of N trees.
         best: The leaf of the best hypothesis of each, -1 for none, [N].
+        age: How many scans ago each began, that scan counted, [N] (int).
+        threshold: How likely, by what is known now.
     """
-    seen = history.seen[jnp.arange(best.size), jnp.maximum(best, 0)]
-    return (best >= 0) & seen.any(1)
+    leaf = jnp.arange(best.size), jnp.maximum(best, 0)
+    exists, gain, seen = jax.tree.map(lambda x: x[leaf], history[1:4])
+    scan = jnp.arange(seen.shape[1])
+    begun = scan[None] >= scan.size - age[:, None]
+    each = jax.vmap(existed, (None, None, None, 0))
+    there = jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan)
+    return (best >= 0) & (begun & seen & (there > threshold)).any(1)
 
 
 def existed(

@@ -52,8 +52,8 @@ def tmbm(
         max_leaves: Leaves kept of each, the likeliest.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
-        exist_threshold: A tree goes where its target exists with less probability and
-            was not detected in any scan that is still to be reported.
+        exist_threshold: A tree goes where its target exists with less probability, and
+            did so in all scans that are still to be reported.
         report_threshold: A trajectory of the best hypothesis is reported where there
             was such a target with more probability.
         certain: Whether hypotheses say who is there: TMBM01.

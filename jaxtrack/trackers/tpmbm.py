@@ -37,6 +37,7 @@ def tpmbm(
     max_tracks: int = 64,
     max_leaves: int = 10,
     max_undetected: int = 16,
+    max_begun: int | None = None,
     gate_prob: float = 0.999,
     prune_threshold: float = 1e-5,
     exist_threshold: float = 1e-3,
@@ -55,10 +56,12 @@ def tpmbm(
         max_tracks: Trees kept after a scan.
         max_leaves: Leaves kept of each, the likeliest.
         max_undetected: Components kept of the intensity of undetected targets.
+        max_begun: Trees begun in a scan at most, those likeliest to be a target; None
+            for one with each detection.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
-        exist_threshold: A tree goes where its target exists with less probability and
-            was not detected in any scan that is still to be reported.
+        exist_threshold: A tree goes where its target exists with less probability, and
+            did so in all scans that are still to be reported.
         report_threshold: A trajectory of the best hypothesis is reported where there
             was such a target with more probability.
 
@@ -79,5 +82,6 @@ def tpmbm(
         report_threshold=report_threshold,
         delay=max(num_scans + lag, 1),
         bernoulli=True,
+        max_begun=max_begun,
     )
     return track_oriented.make(settings)

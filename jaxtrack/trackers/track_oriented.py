@@ -93,6 +93,7 @@ class Settings(NamedTuple):
     bernoulli: bool = False
     hides: bool = True
     certain: bool = False
+    max_begun: int | None = None
 
 
 def make(settings: Settings) -> Tracker:
@@ -106,6 +107,8 @@ def make(settings: Settings) -> Tracker:
         name: getattr(settings, name)
         for name in ("max_hypotheses", "max_leaves", "max_undetected")
     }
+    if settings.max_begun is not None:
+        sizes["max_begun"] = settings.max_begun
     thinning.check_sizes({**sizes, "max_tracks": limits.max_tracks})
     if settings.max_leaves == 1:
         raise ValueError("max_leaves is 1; give at least 2, one for a miss")
@@ -156,7 +159,7 @@ def _step(
     target, scan = settings.target, association.filled(scan)
     key, seed = jax.random.split(state.key)
     met = _meet(settings, params, state, scan, seed)
-    grown, sure, held, label = _grow(settings, params, state, met, scan)
+    grown, sure, held, label, unbegun = _grow(settings, params, state, met, scan)
     trees, history, num = grown.trees, state.history, len(state.best)
     if history is not None:
         before = met.trees.log_score[:num], trees, grown.parent[:num]
@@ -172,12 +175,14 @@ def _step(
         hidden.expected,
         settings.report_threshold,
         log_evidence=found.log_total - state.log_total + met.log_constant,
-        dropped=unseen,
+        dropped=unseen + unbegun,
         log_loss=found.log_loss,
     )
     leaf = verdict.leaves(trees, found.views)
-    awaited = False if history is None else retrodiction.awaited(history, leaf[0])
-    limits, window = settings.thinning, settings.num_scans
+    limits, window, awaited = settings.thinning, settings.num_scans, False
+    if history is not None:
+        least = limits.exist_threshold
+        awaited = retrodiction.awaited(history, leaf[0], trees.age, least)
     pruned = deciding.decide(
         limits, window, trees, sure, found, len(scan.valid), awaited
     )
@@ -202,12 +207,13 @@ def _meet(
 
 def _grow(
     settings: Settings, params: Params, state: State, met: Met, scan: Scan
-) -> tuple[growing.Grown, Array, Array, Array]:
+) -> tuple[growing.Grown, Array, Array, Array, Array]:
     """Follows the leaves and begins trees.
 
     Returns:
         All N trees; which are sure, and which have a first leaf that is possible at any
-        rate, [N] (bool); and the next free label.
+        rate, [N] (bool); the next free label; and the expected number of targets that
+        got no tree.
     """
     born = len(met.trees.label) - len(state.best)
     best, sure = jnp.pad(state.best, (0, born)), jnp.pad(state.sure, (0, born))
@@ -227,16 +233,18 @@ def _grow(
         new = jnp.arange(sure.size) >= len(state.best)
         age = jnp.where(new & sure, 1, grown.trees.age)
         trees, label = grown.trees._replace(age=age), met.next_label
+        unbegun = jnp.zeros_like(met.log_constant)
     else:
-        trees, label = growing.plant(
-            settings.bernoulli, grown.trees, met.firsts, met.next_label
+        limits = settings.bernoulli, settings.max_begun
+        trees, label, unbegun = growing.plant(
+            *limits, grown.trees, met.firsts, met.next_label
         )
     begun = len(trees.label) - sure.size
     sure = jnp.pad(sure, (0, begun))
     held = sure
     if settings.bernoulli:
         held = jnp.concatenate([best >= 0, trees.label[best.size :] >= 0])
-    return grown._replace(trees=trees), sure, held, label
+    return grown._replace(trees=trees), sure, held, label, unbegun
 
 
 def _look_back(

@@ -38,6 +38,7 @@ class Paths(NamedTuple):
     Attributes:
         mean: Smoothed, [N, W, D].
         cov: [N, W, D, D].
+        filtered: The mean by the detections until then, not smoothed, [N, W, D].
         alive_prob: That the target was there, if the best hypothesis is true, [N, W].
         alive: Where the reported path is, from its beginning to where it most likely
             ended, [N, W] (bool).
@@ -46,6 +47,7 @@ class Paths(NamedTuple):
 
     mean: Array
     cov: Array
+    filtered: Array
     alive_prob: Array
     alive: Array
     label: Array
@@ -105,7 +107,9 @@ def paths(
     best, shown = leaf
     tree, size = jnp.arange(len(shown)), len(history.interval)
     smoothed = retrodiction.smooth(target, params, history, shown)
-    moments = jax.vmap(jax.vmap(target.moments))(smoothed)
+    every = jax.vmap(jax.vmap(target.moments))
+    moments = every(smoothed)
+    before = every(jax.tree.map(lambda x: x[tree, shown], history.belief)).mean
     exists, gain, seen = jax.tree.map(lambda x: x[tree, shown], history[1:4])
     each = jax.vmap(retrodiction.existed, (None, None, None, 0))
     scan = jnp.arange(size)
@@ -117,7 +121,7 @@ def paths(
     )
     reported = (best >= 0) & (prob.max(1) > threshold)
     alive = jax.vmap(ended)(prob, there) & reported[:, None]
-    return Paths(moments.mean, moments.cov, prob, alive, trees.label)
+    return Paths(moments.mean, moments.cov, before, prob, alive, trees.label)
 
 
 def assemble(

@@ -42,6 +42,7 @@ from jaxtrack.assign.multiscan.slots import (
     gained,
     judge,
     leaves_in,
+    rounding,
     scan_matrix,
     slots,
 )
@@ -78,6 +79,8 @@ def decomposition(
     num_detections: int,
     max_rounds: int = 100,
     tolerance: float = 1e-6,
+    price: Array | None = None,
+    leaf: Array | None = None,
 ) -> Answer:
     """Moves multipliers until the scans agree, or there are no rounds left.
 
@@ -87,7 +90,11 @@ def decomposition(
         problem: [N, L] and [N, L, S].
         num_detections: K, detections of a scan at most.
         max_rounds: Rounds at most.
-        tolerance: Gap, in the unit of the scores, that ends the search.
+        tolerance: Gap, in the unit of the scores and beyond their rounding, that ends
+            the search.
+        price: What detections may cost, to begin with, [S, K]; 0 if None. A good guess
+            saves rounds.
+        leaf: A feasible selection, to begin with, [N]; None if none is known.
 
     Raises:
         ValueError: There is no round.
@@ -95,26 +102,33 @@ def decomposition(
     if max_rounds < 1:
         raise ValueError(f"max_rounds is {max_rounds}; give at least 1")
     given = slots(*jax.lax.stop_gradient(problem), num_detections)
+    least = tolerance + rounding(given)
 
     def more(state: _State) -> Array:
-        return (state.limit - state.score > tolerance) & (state.count < max_rounds)
+        return (state.limit - state.score > least) & (state.count < max_rounds)
 
     state = jax.lax.while_loop(
         more,
         lambda state: _round(given, num_detections, state),
-        _start(given, num_detections),
+        _start(given, num_detections, price, leaf),
     )
     return answer(problem, state.leaf, state.price)
 
 
-def _start(given: Slots, num_detections: int) -> _State:
-    num_trees, num_leaves, num_scans = given.place.shape
+def _start(
+    given: Slots, num_detections: int, guess: Array | None, known: Array | None
+) -> _State:
+    """Gives every copy the prices of its own scan."""
+    num_trees, _, num_scans = given.place.shape
     kind = given.log_score.dtype
     price = jnp.zeros((num_scans, num_detections), kind)
-    leaf = jnp.full(num_trees, -1, jnp.int32)
+    paid = flat(price if guess is None else guess.astype(kind))[given.place]
+    own = jnp.moveaxis(paid - paid.mean(-1, keepdims=True), -1, 0)
+    leaf = jnp.full(num_trees, -1) if known is None else known
+    leaf = leaf.astype(jnp.int32)
     zero, one, count = jnp.zeros((), kind), jnp.ones((), kind), jnp.zeros((), jnp.int32)
     return _State(
-        multiplier=jnp.zeros((num_scans, num_trees, num_leaves), kind),
+        multiplier=own,
         limit=zero + jnp.inf,
         price=price,
         leaf=leaf,

@@ -41,6 +41,7 @@ from jaxtrack.assign.multiscan.slots import (
     flat,
     judge,
     leaves_in,
+    rounding,
     scan_matrix,
     slots,
     unflat,
@@ -82,6 +83,8 @@ def lagrangian(
     max_rounds: int = 100,
     tolerance: float = 1e-6,
     keep: int | None = None,
+    price: Array | None = None,
+    leaf: Array | None = None,
 ) -> Answer:
     """Searches for prices with a small bound and for selections at them.
 
@@ -91,9 +94,13 @@ def lagrangian(
         problem: [N, L] and [N, L, S].
         num_detections: K, detections of a scan at most.
         max_rounds: Rounds at most.
-        tolerance: Gap, in the unit of the scores, that ends the search.
+        tolerance: Gap, in the unit of the scores and beyond their rounding, that ends
+            the search.
         keep: The scan whose detections are assigned rather than priced; None prices
             those of all scans.
+        price: What detections may cost, to begin with, [S, K]; 0 if None. A good guess
+            saves rounds.
+        leaf: A feasible selection, to begin with, [N]; None if none is known.
 
     Raises:
         ValueError: There is no round, or no such scan.
@@ -106,25 +113,40 @@ def lagrangian(
     fixed = jax.lax.stop_gradient(problem)
     given = slots(*fixed, num_detections)
     kept = None if keep is None else keep % num_scans
+    least = tolerance + rounding(given)
 
     def more(state: _State) -> Array:
-        return (state.limit - state.score > tolerance) & (state.count < max_rounds)
+        return (state.limit - state.score > least) & (state.count < max_rounds)
 
     def go(state: _State) -> _State:
         return _round(given, num_detections, kept, state)
 
-    state = jax.lax.while_loop(more, go, _start(given, num_scans, num_detections))
+    state = jax.lax.while_loop(
+        more, go, _start(given, num_detections, price, leaf, kept)
+    )
     return answer(problem, state.leaf, unflat(state.at, num_detections))
 
 
-def _start(given: Slots, num_scans: int, num_detections: int) -> _State:
+def _start(
+    given: Slots,
+    num_detections: int,
+    guess: Array | None,
+    known: Array | None,
+    kept: int | None,
+) -> _State:
     kind = given.log_score.dtype
-    none = jnp.zeros(num_scans * (num_detections + 1), kind)
-    leaf = jnp.full(len(given.log_score), -1, jnp.int32)
+    table = jnp.zeros((given.place.shape[-1], num_detections), kind)
+    none = flat(table)
+    if guess is not None:
+        table = guess.astype(kind)
+    if kept is not None:
+        table = table.at[kept].set(0.0)
+    leaf = jnp.full(len(given.log_score), -1) if known is None else known
+    leaf = leaf.astype(jnp.int32)
     score = judge(given, leaf, none.size)[0]
     zero, one = jnp.zeros((), kind), jnp.ones((), kind)
     count = jnp.zeros((), jnp.int32)
-    return _State(none, zero + jnp.inf, none, leaf, score, one, count, count)
+    return _State(flat(table), zero + jnp.inf, none, leaf, score, one, count, count)
 
 
 def _round(

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 
 from jaxtrack.types import Array
 
+ROUNDING = 4.0  # errors of a sum
+
 
 class Slots(NamedTuple):
     """A problem made ready: every detection has a place in one flat table.
@@ -79,6 +81,12 @@ def gained(given: Slots, table: Array) -> Array:
     """Returns the bound that holds at these prices, none of which is negative."""
     best = after_paying(given, table).max(1, initial=-jnp.inf)
     return jnp.where(given.there, best, 0.0).sum() + table.sum()
+
+
+def rounding(given: Slots) -> Array:
+    """Returns by how much two sums of each tree's best score may differ by rounding."""
+    best = jnp.where(given.there, given.log_score.max(1, initial=-jnp.inf), 0.0)
+    return ROUNDING * jnp.finfo(best.dtype).eps * jnp.abs(best).sum()
 
 
 def judge(given: Slots, leaf: Array, num_places: int) -> tuple[Array, Array]:
