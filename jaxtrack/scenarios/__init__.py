@@ -16,6 +16,8 @@ from jaxtrack.scenarios import (
     turning_aircraft,
     two_sensors,
     williams_crossing,
+    xia2019_coalescing,
+    xia2019_spread,
     yuan2013_linear,
     yuan2013_range_bearing,
 )
@@ -29,6 +31,8 @@ MAKERS: dict[str, Maker] = {
     "turning-aircraft": turning_aircraft.make,
     "two-sensors": two_sensors.make,
     "williams-crossing": williams_crossing.make,
+    "xia2019-coalescing": xia2019_coalescing.make,
+    "xia2019-spread": xia2019_spread.make,
     "yuan2013-linear": yuan2013_linear.make,
     "yuan2013-range-bearing": yuan2013_range_bearing.make,
 }
