@@ -222,3 +222,20 @@ def test_answer_says_whether_leaves_are_feasible(leaf, total):
     assert float(found.log_score) == total
     assert bool(found.feasible) == (total > -INF)
     assert float(found.log_bound) == 7.0  # 2 and 4 after paying, and the price
+
+
+@pytest.mark.parametrize("name", ["lagrangian", "decomposition"])
+def test_what_was_found_is_a_good_beginning(name):
+    """One round from there has the same bound, or nearly, and no less a score."""
+    whole, _ = drawn(SHAPES[2])
+    found = many(name)(whole)
+
+    def begin(given, price, leaf):
+        again = SOLVERS[name](given, K, max_rounds=1, price=price, leaf=leaf)
+        return again, SOLVERS[name](given, K, max_rounds=1)
+
+    again, anew = jax.jit(jax.vmap(begin))(whole, found.price, found.leaf)
+    assert (again.log_score >= found.log_score - 1e-9).all()
+    lost, new_lost = again.log_bound - found.log_bound, anew.log_bound - found.log_bound
+    assert new_lost.mean() > 0.05
+    assert lost.mean() < 0.1 * new_lost.mean()
