@@ -1,9 +1,11 @@
 """The published tables, within what a few runs can tell."""
 
+import numpy as np
 import pytest
 
-from jaxtrack import engine
-from jaxtrack.scenarios import yuan2013_linear
+from jaxtrack import engine, scenarios
+from jaxtrack.scenarios import xia2019, yuan2013_linear
+from jaxtrack.study import trajectories
 
 pytestmark = pytest.mark.slow
 
@@ -66,3 +68,19 @@ def test_cphd_knows_the_number_better_than_phd(intense):
     assert cphd.num_std.mean() < 0.7 * phd.num_std.mean()
     difference = (cphd.ospa - phd.ospa).mean("time").values[0]
     assert difference.mean() < difference.std() / len(difference) ** 0.5
+
+
+def test_trajectory_filter_has_the_errors_of_xia_et_al():
+    """Table I: sums over 81 scans; see docs/xia2019.md for how runs are averaged."""
+    scenario = scenarios.make("xia2019-spread")
+    found = trajectories.score_runs(
+        scenario, "tpmbm", 20, xia2019.SWITCH_COST, max_trajectories=24
+    )
+    error, filtered, smoothed = (
+        np.asarray(x.distance).mean(0).sum()
+        for x in (found.gospa, found.filtered, found.smoothed)
+    )
+    assert abs(error - 150.0) < 15.0
+    assert abs(filtered - 141.9) < 14.2
+    assert smoothed < 128.3
+    assert (found.dropped == 0).all()

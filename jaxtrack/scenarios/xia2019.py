@@ -107,7 +107,7 @@ def trackers(max_tracks: int, max_leaves: int, max_begun: int) -> dict[str, Trac
     return {
         "tpmbm": tpmbm.tpmbm(target, max_undetected=8, max_begun=max_begun, **paper),
         "tmbm": tmbm.tmbm(target, **paper),
-        "tmbm01": tmbm.tmbm(target, **several, max_leaves=2 * max_leaves, certain=True),
+        "tmbm01": tmbm.tmbm(target, **several, max_leaves=max_leaves + 10, certain=True),
         "pmbm": pmbm.pmbm(target, max_undetected=8, **few),
         "mbm": mbm.mbm(target, **few),
         "mbm01": mbm.mbm01(target, **room),
