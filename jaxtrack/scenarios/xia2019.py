@@ -102,12 +102,13 @@ def trackers(max_tracks: int, max_leaves: int, max_begun: int) -> dict[str, Trac
     target = single.single()
     several = {"num_scans": 3, "lag": 1, "max_tracks": max_tracks}
     paper = {**several, "max_leaves": max_leaves}
+    certain = {**several, "max_leaves": max_leaves + 10, "certain": True}
     room = {"max_hypotheses": 100, "max_tracks": max_tracks, "max_leaves": 24}
     few = {**room, "exist_threshold": 1e-3}
     return {
         "tpmbm": tpmbm.tpmbm(target, max_undetected=8, max_begun=max_begun, **paper),
         "tmbm": tmbm.tmbm(target, **paper),
-        "tmbm01": tmbm.tmbm(target, **several, max_leaves=max_leaves + 10, certain=True),
+        "tmbm01": tmbm.tmbm(target, **certain),
         "pmbm": pmbm.pmbm(target, max_undetected=8, **few),
         "mbm": mbm.mbm(target, **few),
         "mbm01": mbm.mbm01(target, **room),
