@@ -242,13 +242,19 @@ def log_white(white: Array | Matrix, lower: Array | Matrix) -> Array:
     """Log-density of a residual of which `white` [Z, 1] is lower^-1 @ residual."""
     size = lower.shape[0]
     if _large(lower):
-        square = (dense(white) ** 2).sum()
         scale = jnp.log(jnp.diagonal(dense(lower))).sum()
     else:
-        values, factor = entries(white).T.rows[0], entries(lower).rows
-        square = dot(values, values)
+        factor = entries(lower).rows
         scale = sum(jnp.log(factor[i][i]) for i in range(size))
-    return -square / 2 - scale - size * math.log(math.tau) / 2
+    return -square(white) / 2 - scale - size * math.log(math.tau) / 2
+
+
+def square(vector: Array | Matrix) -> Array:
+    """Returns the sum of the squares of a column [Z, 1]."""
+    if _large(vector):
+        return (dense(vector) ** 2).sum()
+    values = entries(vector).T.rows[0]
+    return dot(values, values)
 
 
 def _solve(lower: Array | Matrix, right: Array | Matrix, backwards: bool) -> Any:

@@ -71,10 +71,10 @@ def collapse(mixture: Mixture) -> Gaussian:
 
 
 def total(log_weight: Array) -> Array:
-    """Returns the log of the summed weight of [N]; -inf if empty, without NaN grads."""
-    empty = jnp.all(log_weight == -jnp.inf)
-    safe = jnp.where(empty, 0.0, log_weight)
-    return jnp.where(empty, -jnp.inf, logsumexp(safe))
+    """Returns the log of the sum of [N, ...], [...]; -inf if empty, without NaN."""
+    empty = jnp.all(log_weight == -jnp.inf, axis=0)
+    safe = jnp.where(empty[None], 0.0, log_weight)
+    return jnp.where(empty, -jnp.inf, logsumexp(safe, axis=0))
 
 
 def prune(mixture: Mixture, threshold: float | Array) -> Mixture:

@@ -89,7 +89,7 @@ def score(
     score = functools.partial(views.score, method, params)
     log_density = jax.vmap(score, (0, None))(view.modes, detections)  # [M, K]
     log_weight = view.log_weight + view.log_active
-    return jax.vmap(mixture.total, 1)(log_weight[:, None] + log_density)
+    return mixture.total(log_weight[:, None] + log_density)
 
 
 def distance(

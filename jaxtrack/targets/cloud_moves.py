@@ -124,7 +124,7 @@ def blend(
         hit = factor(params, view, detections)
         missed = safe_log(1 - clouds.prob(params.detect, belief))
         every = jnp.concatenate([hit, missed[None]]) + log_each[:, None]
-        return jax.vmap(mixture.total, 1)(every)
+        return mixture.total(every)
 
     weighed = weigh(params, view, missed, log_weight, detections)
     return moved(num_moves, scheme, threshold, log_likelihood, weighed)

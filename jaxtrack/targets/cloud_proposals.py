@@ -194,7 +194,7 @@ def blend(
     log_right = jnp.where(sure, 0.0, log_exact - jnp.where(sure, 0.0, log_rough))
     state = jnp.where(none[:, None], _pushed(missed, noise), state)
     drawn = _settled(missed, state)._replace(
-        log_weight=jax.vmap(mixture.total, 1)(each), key=following
+        log_weight=mixture.total(each), key=following
     )
     return clouds.reweighted(drawn, log_right)[0]
 

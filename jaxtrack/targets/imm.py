@@ -112,4 +112,4 @@ def _collapse(log_weight: Array, many: Mixture) -> Mixture:
     log_joint = mixture.log_normalise(log_weight)[:, None] + many.log_weight
     weight = jax.vmap(mixture.normalise, 1)(log_joint)  # [M, N]
     merged = jax.vmap(mixture.moment_match, (0, 1, 1))(weight, many.mean, many.cov)
-    return Mixture(jax.vmap(mixture.total, 1)(log_joint), merged.mean, merged.cov)
+    return Mixture(mixture.total(log_joint), merged.mean, merged.cov)

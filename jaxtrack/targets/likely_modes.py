@@ -248,7 +248,7 @@ def _collapse(log_weight: Array, many: Belief) -> Belief:
     log_joint = log_share[:, None] + many.log_weight + relative
     weight = jax.vmap(mixture.normalise, 1)(log_joint)  # [M, N]
     merged = jax.vmap(mixture.moment_match, (0, 1, 1))(weight, many.mean, many.cov)
-    log_total = jax.vmap(mixture.total, 1)(log_joint)
+    log_total = mixture.total(log_joint)
     return Belief(log_total, *merged, active, following)
 
 

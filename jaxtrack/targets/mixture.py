@@ -180,8 +180,7 @@ def _score(
         view.parts, detections
     )
     weighed = view.log_weight[:, :, None] + log_density
-    flat = weighed.reshape(-1, len(detections))
-    return jax.vmap(gaussians.total, 1)(flat)
+    return gaussians.total(weighed.reshape(-1, len(detections)))
 
 
 def _distance(

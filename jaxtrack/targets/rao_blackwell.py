@@ -181,7 +181,7 @@ def _look(method: Method, params: Params, belief: Belief) -> View:
 def _score(method: Method, params: Params, view: View, detections: Array) -> Array:
     log_factor = _log_factor(method, params, view, detections)
     log_joint = view.belief.log_weight[:, None] + log_factor
-    return jax.vmap(mixture.total, 1)(log_joint)
+    return mixture.total(log_joint)
 
 
 def _log_factor(method: Method, params: Params, view: View, detections: Array) -> Array:
@@ -226,7 +226,7 @@ def _blend(
     none = choice == len(detections)
     belief = _with(missed, hit)
     belief = belief._replace(
-        log_weight=jax.vmap(mixture.total, 1)(each),
+        log_weight=mixture.total(each),
         state=jnp.where(none[:, None], missed.state, belief.state),
         carried=jnp.where(none[:, None], missed.carried, belief.carried),
         key=following,

@@ -120,9 +120,9 @@ def distance(
 
     def one(detection: Array) -> tuple[Array, Array]:
         sight, surprise = meet(method, params, view, detection)
-        white = sight.whitening @ surprise
+        white = linalg.product(sight.whitening, linalg.column(surprise))
         turns = surprise.size * jnp.log(2 * jnp.pi)
-        return (white * white).sum(), -2 * sight.log_scale - turns
+        return linalg.square(white), -2 * sight.log_scale - turns
 
     return jax.vmap(one)(detections)
 
@@ -225,5 +225,5 @@ def meet(
 
 
 def _log_density(sight: Sight, surprise: Array) -> Array:
-    white = sight.whitening @ surprise
-    return sight.log_scale - (white * white).sum() / 2
+    white = linalg.product(sight.whitening, linalg.column(surprise))
+    return sight.log_scale - linalg.square(white) / 2

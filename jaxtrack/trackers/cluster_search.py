@@ -172,7 +172,7 @@ def _likely(views: Views, log_score: Array) -> Array:
     has = views.leaf[..., None] == leaves[None, None]
     prob = jnp.where(has, jnp.exp(views.log_prob)[..., None], 0.0).sum(0)  # [N, L]
     each = safe_log(prob)[..., None] + log_score
-    odds = jax.vmap(jax.vmap(mixture.total, 1))(each)
+    odds = jax.vmap(mixture.total)(each)
     absent = safe_log(jnp.maximum(1 - prob.sum(1), 0.0))
     none = jnp.logaddexp(odds[:, -1], absent)
     odds = odds[:, :-1]
@@ -211,7 +211,7 @@ def _missed(views: Views, log_score: Array) -> _Columns:
     same = views.label[:, None] == views.label[None]
     weight = views.log_prob + jnp.where(same[None], miss[:, :, None], 0.0).sum(1)
     code = jnp.where(there, views.leaf * (last + 1) + last, -1)
-    total = jax.vmap(mixture.total, 1)(weight)
+    total = mixture.total(weight)
     return _Columns(weight, code, total, jnp.zeros_like(total))
 
 

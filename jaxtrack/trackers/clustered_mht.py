@@ -183,7 +183,7 @@ def _step(
     trees, views, label = _grow(settings, params, state, met, found, scan)
     lead = hypothesis_clusters.leads(views)
     log_evidence = jnp.where(lead, found.log_total, 0.0).sum() + met.log_constant
-    kept = jax.vmap(mixture.total, 1)(views.log_prob) - found.log_total
+    kept = mixture.total(views.log_prob) - found.log_total
     missing = -jnp.expm1(jnp.minimum(kept + found.log_share, 0.0))
     trees, views, lost = _thin(settings, trees, views, missing)
     hidden, unseen = undetected.reduce(met.firsts.missed, settings.max_undetected)

@@ -40,7 +40,7 @@ def correct(
     log_share = jnp.where(sighting.log_weight > -jnp.inf, log_share, -jnp.inf)
     log_ratio = sighting.log_score - sighting.log_clutter[None]
     log_claim = log_share[:, None] + log_ratio  # [N, K]
-    log_detected = jax.vmap(mixture.total, 1)(log_claim)  # [K], of any one target
+    log_detected = mixture.total(log_claim)  # [K], of any one target
     log_missed = mixture.total(log_share + sighting.log_miss)
 
     # ways[u][n, j]: of n targets, u are set apart, j detected and the rest missed
@@ -52,9 +52,7 @@ def correct(
     log_joint = log_cardinality + by_number
     log_evidence = mixture.total(log_joint)
 
-    log_given = [
-        jax.vmap(mixture.total, 1)(log_cardinality[:, None] + way) for way in ways
-    ]
+    log_given = [mixture.total(log_cardinality[:, None] + way) for way in ways]
     log_apart = mixture.total(log_given[1] + log_sums)
     # What is left if clutter explains detection k, or the target that is set apart.
     log_false, log_without = jax.vmap(cardinality.leave_one_out, (None, 0))(

@@ -180,7 +180,7 @@ def balanced(seen: Seen, valid: Array, clutter_rate: Array) -> Update:
     log_hit = safe_log(prob / empty_prob)[:, None] + seen.log_score  # [N, K]
     log_all = jnp.concatenate([log_hit, seen.log_clutter[None]])
     log_all = jnp.where(valid[None], log_all, -jnp.inf)
-    log_total = jax.vmap(mixture.total, 1)(log_all)  # [K]
+    log_total = mixture.total(log_all)  # [K]
     possible = log_total > -jnp.inf
     share = jnp.exp(log_all - jnp.where(possible, log_total, 0.0)[None])
 

@@ -251,7 +251,7 @@ def _everywhere(flags: Array, label: Array) -> Array:
 
 def _total(log_weight: Array, label: Array) -> Array:
     """Returns the log of the product of the clusters' sums."""
-    sums = jax.vmap(mixture.total, 1)(log_weight)
+    sums = mixture.total(log_weight)
     first = label == jnp.arange(label.size)
     return jnp.where(first, jnp.where(first, sums, 0.0), 0.0).sum()
 

@@ -200,7 +200,7 @@ def correct(sighting: Sighting, clutter_rate: Array) -> Update:
     """Weighs what a scan makes of an intensity (Vo and Ma 2006, Proposition 2)."""
     log_claim = sighting.log_weight[:, None] + sighting.log_score  # [N, K]
     every = jnp.concatenate([log_claim, sighting.log_clutter[None]])
-    log_total = jax.vmap(mixture.total, 1)(every)  # [K]
+    log_total = mixture.total(every)  # [K]
     log_missed = sighting.log_weight + sighting.log_miss
     expected_hits = jnp.exp(sighting.log_weight) - jnp.exp(log_missed)
     return Update(

@@ -108,7 +108,7 @@ def share_out(
     log_clutter = jax.vmap(clutter.log_density)(scan.detections)
     log_clutter = jnp.maximum(log_clutter, LEAST_LOG_WEIGHT)
     every = jnp.concatenate([log_cause.reshape(-1, len(scan.valid)), log_clutter[None]])
-    log_total = jax.vmap(mixture.total, 1)(every)
+    log_total = mixture.total(every)
     log_prob = jnp.where(
         scan.valid[None, None], log_cause - log_total[None, None], -jnp.inf
     )

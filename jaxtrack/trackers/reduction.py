@@ -176,7 +176,7 @@ def by_detection(
     Returns the corrected components, and the expected number of targets in the others
     and in the parents that found no room.
     """
-    log_total = jax.vmap(mixture.total, 1)(log_hit)
+    log_total = mixture.total(log_hit)
     most = min(size.max_updated, log_total.size)
     log_weight, detection = jax.lax.top_k(log_total, most)
 

@@ -58,7 +58,7 @@ def groups(sightings: Sequence[Sighting]) -> Array:
     for seen in sightings:
         claim = seen.log_weight[:, None] + seen.log_score
         every = jnp.concatenate([claim, seen.log_clutter[None]])
-        log_total = jax.vmap(mixture.total, 1)(every)
+        log_total = mixture.total(every)
         linked.append(claim > log_total[None] + math.log(LINKED))
     return clusters.label(jnp.concatenate(linked, 1)[..., None])[:, 0]
 
@@ -93,7 +93,7 @@ def explain(sighting: Sighting, group: Array, size: int) -> Array:
         log_weight = jnp.where(group == number, sighting.log_weight, -jnp.inf)
         log_share = mixture.log_normalise(log_weight)
         log_share = jnp.where(log_weight > -jnp.inf, log_share, -jnp.inf)
-        log_detected = jax.vmap(mixture.total, 1)(log_share[:, None] + log_ratio)
+        log_detected = mixture.total(log_share[:, None] + log_ratio)
         log_missed = mixture.total(log_share + sighting.log_miss)
         some = log_missed > -jnp.inf
         log_missed = jnp.where(some, log_missed, 0.0)

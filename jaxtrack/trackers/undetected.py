@@ -180,7 +180,7 @@ def see(
     belief = jax.vmap(target.absorb, (None, 1, None, 0))(
         params.target, log_weight, views, scan.detections
     )
-    log_score = jax.vmap(mixture.total, 1)(log_weight) - log_clutter
+    log_score = mixture.total(log_weight) - log_clutter
     return Firsts(
         log_score=jnp.where(scan.valid, log_score, -jnp.inf),
         belief=belief,
