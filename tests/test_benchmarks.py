@@ -16,6 +16,7 @@ SLOW = (
     *("kalman", "extended", "imm", "gradient", "assign", "multiscan"),
     *("jpda", "phd", "particles", "cores", "start", "study", "growth", "crowds"),
     "trajectories",
+    "lmb",
     "pmbm",
 )
 KEYS = {

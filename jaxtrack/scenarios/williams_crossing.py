@@ -25,7 +25,7 @@ section VI; with the parameters of Garcia-Fernandez, Williams, Granstrom and Sve
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.models.birth import MultiBernoulliBirth, PoissonBirth
+from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
 from jaxtrack.models.clutter import UniformClutter
 from jaxtrack.models.motion import ConstantVelocity
 from jaxtrack.models.probability import Constant
@@ -33,7 +33,9 @@ from jaxtrack.models.sensor import Position
 from jaxtrack.scenarios.world import Scenario, Truth, World, slots_for
 from jaxtrack.targets import single
 from jaxtrack.trackers import (
+    glmb,
     hypothesis_mht,
+    lmb,
     mbm,
     mht,
     pmb,
@@ -52,7 +54,9 @@ BIRTH_RATE, EXPECTED = 0.005, 3.0  # in a scan, and before the first
 BIRTH_MEAN = np.array([100.0, 0.0, 100.0, 0.0])
 BIRTH_STD = np.array([150.0, 1.0, 150.0, 1.0])
 SEED = 9
-BERNOULLI = "mbm", "mbm01", "tmbm", "tmbm01"  # their births
+# Their births.
+BERNOULLI = "mbm", "mbm01", "tmbm", "tmbm01", "glmb", "glmb-exact"
+DRIVEN = "lmb", "lmb-gibbs"
 
 
 def make(
@@ -93,12 +97,14 @@ def make(
         clutter,
         start=MultiBernoulliBirth(*start),
     )
+    driven = bernoullis._replace(birth=_driven(), start=None)
+    given = dict.fromkeys(BERNOULLI, bernoullis) | dict.fromkeys(DRIVEN, driven)
     return Scenario(
         name="williams-crossing",
         summary="four targets that meet in the middle, of which one dies there",
         world=World(truth(), motion, sensor, detect, clutter),
         trackers={
-            name: (tracker, bernoullis if name in BERNOULLI else poisson)
+            name: (tracker, given.get(name, poisson))
             for name, tracker in _trackers(size).items()
         },
         max_detections=slots_for(TARGETS, clutter_rate),
@@ -120,6 +126,17 @@ def _places(rate: float | np.ndarray) -> PoissonBirth:
     )
 
 
+def _driven() -> DetectionBirth:
+    """Returns births at the same rate wherever something is unexplained."""
+    return DetectionBirth(
+        rate=jnp.asarray(BIRTH_RATE),
+        max_existence_prob=jnp.asarray(1.0),
+        velocity_std=jnp.asarray(BIRTH_STD[1::2]),
+        extra_std=jnp.zeros(0),
+        mode_prob=jnp.ones(1),
+    )
+
+
 def _trackers(size: int) -> dict[str, Tracker]:
     target = single.single()
     room = {"max_hypotheses": size, "max_tracks": 24, "max_leaves": 32}
@@ -131,6 +148,10 @@ def _trackers(size: int) -> dict[str, Tracker]:
         "pmbm-certain": pmbm.pmbm(target, estimator="certain", **filters),
         "mbm": mbm.mbm(target, **few, report_threshold=0.4),
         "mbm01": mbm.mbm01(target, **few),
+        "glmb": glmb.glmb(target, **few),
+        "glmb-exact": glmb.glmb(target, method="k-best", **few),
+        "lmb": lmb.lmb(target, max_tracks=24),
+        "lmb-gibbs": lmb.lmb(target, method="gibbs", max_events=size, max_tracks=24),
         "pmb": pmb.pmb(target, max_tracks=24, report_threshold=0.4),
         "tpmbm": tpmbm.tpmbm(target, max_tracks=24, report_threshold=0.4),
         "tmbm": tmbm.tmbm(target, max_tracks=24, report_threshold=0.4),
