@@ -29,7 +29,7 @@ def places(prob: float, mean: np.ndarray, std: list[float]) -> MultiBernoulliBir
     num = len(mean)
     cov = np.tile(np.diag(np.square(std)), (num, 1, 1))
     drawn = np.full(num, prob), mean, cov, np.ones((num, 1))
-    return MultiBernoulliBirth(*(np.asarray(x, KIND) for x in drawn))
+    return MultiBernoulliBirth(*(jax.numpy.asarray(x, KIND) for x in drawn))
 
 
 def trackers() -> dict[str, Tracker]:

@@ -87,18 +87,7 @@ def make(
     detect = Constant(jnp.asarray(detect_prob, float))
     survive = Constant(jnp.asarray(SURVIVE, float))
     target = single.Params(motion, sensor, survive, detect)
-    poisson = undetected.Params(
-        target, _places(BIRTH_RATE), clutter, undetected=_places(EXPECTED)
-    )
-    start = _places(np.full(TARGETS, EXPECTED / TARGETS))
-    bernoullis = undetected.Params(
-        target,
-        MultiBernoulliBirth(*_places(BIRTH_RATE)),
-        clutter,
-        start=MultiBernoulliBirth(*start),
-    )
-    driven = bernoullis._replace(birth=_driven(), start=None)
-    given = dict.fromkeys(BERNOULLI, bernoullis) | dict.fromkeys(DRIVEN, driven)
+    poisson, given = _params(target, clutter)
     return Scenario(
         name="williams-crossing",
         summary="four targets that meet in the middle, of which one dies there",
@@ -112,6 +101,28 @@ def make(
         order=2.0,
         published={},
     )
+
+
+def _params(
+    target: single.Params, clutter: UniformClutter
+) -> tuple[undetected.Params, dict[str, undetected.Params]]:
+    """Returns parameters with a Poisson number of births, and others' by name."""
+    poisson = undetected.Params(
+        target, _places(BIRTH_RATE), clutter, undetected=_places(EXPECTED)
+    )
+    start = _places(np.full(TARGETS, EXPECTED / TARGETS))
+    bernoullis = undetected.Params(
+        target,
+        MultiBernoulliBirth(*_places(BIRTH_RATE)),
+        clutter,
+        start=MultiBernoulliBirth(*start),
+    )
+    driven = bernoullis._replace(birth=_driven(), start=None)
+    given: dict[str, undetected.Params] = {
+        **dict.fromkeys(BERNOULLI, bernoullis),
+        **dict.fromkeys(DRIVEN, driven),
+    }
+    return poisson, given
 
 
 def _places(rate: float | np.ndarray) -> PoissonBirth:
