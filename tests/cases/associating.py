@@ -55,7 +55,7 @@ def case(maker, births, target=None, params=None, tight=TIGHT, start=None):
 
 def lmb_case():
     """With births where the last scan left detections unexplained."""
-    plain = case(lmb.lmb, one_point())
+    plain = case(functools.partial(lmb.lmb, method="belief"), one_point())
     return plain._replace(params=undetected.Params(*plain.params[:3]))
 
 
