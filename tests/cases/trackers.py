@@ -265,6 +265,7 @@ SECOND_VARIANTS = {
     "cbmember_far_field",
     "rmm_mht",
     "glmb",
+    "lmb",
 }
 
 
