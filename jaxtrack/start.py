@@ -30,9 +30,9 @@ def cores() -> None:
     or after the first array. LAPACK, which works on large matrices, gets one thread,
     unless OPENBLAS_NUM_THREADS says otherwise.
     """
+    one_blas_thread()
     import jax
 
-    one_blas_thread()
     flags = os.environ.get("XLA_FLAGS", "")
     told = DEVICES in flags or jax.config.values["jax_num_cpu_devices"] >= 0
     if not told and not _begun():

@@ -1,12 +1,13 @@
 """Heavy joint events of many problems at once, found by Gibbs sampling.
 
-As `k_best_of_many`, and with the same answer, but for what a walk does not come to:
+As `k_best_of_many`, but for what a walk does not come to and what it says of the rest:
 chains are shared out among the problems, each draws the columns of its tracks one after
 another, and of all the events that any chain has been at the heaviest are kept, each
 once. The work grows with the tracks and the detections only as fast as their product.
 
-Chains are shared out by the square roots of the weights, so that a light problem has
-some, too, and begin where nobody has a detection.
+Chains are shared out by the square roots of the weights, so that light problems have
+more than their weights' share, and begin where nobody has a detection, which counts
+only where a chain comes back to it.
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxtrack.assign import sample_of_many
@@ -100,7 +101,7 @@ def _again(key: Array, problem: Array, column: Array) -> Array:
     equal where the pairs are not.
     """
     both = jnp.concatenate([problem[:, None], column], axis=1).astype(jnp.uint32)
-    factor = jax.random.bits(key, (2, both.shape[1])) | 1
+    factor = jax.random.bits(key, (2, both.shape[1]), jnp.uint32) | 1
     # A product alone would tell pairs apart no better than their sums.
     mixed = both[None] * factor[:, None]
     mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(0x2C1B3C6D)

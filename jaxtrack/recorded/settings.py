@@ -15,13 +15,8 @@ from jaxtrack.data.errors import DataError
 
 ALGORITHMS = (
     *("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda"),
-    *(
-        "lmb",
-        "mht",
-        "pmbm",
-        "jpda-star",
-        "set-jpda",
-    ),  # the last two only for a few targets
+    *("lmb", "mht", "pmbm"),
+    *("jpda-star", "set-jpda"),  # only for a few targets
 )
 
 Number = TypeVar("Number", int, float)
@@ -110,8 +105,8 @@ class Algorithm(NamedTuple):
         name: One of `ALGORITHMS`.
         max_tracks, max_births: Capacities of any.
         max_parents, prune_threshold, report_threshold, merge_threshold,
-            split_threshold: Of `trackers.cbmember`, which see; the second and third of
-            `trackers.lmb`, too.
+            split_threshold: Of `trackers.cbmember`, which see; prune_threshold and
+            report_threshold of `trackers.lmb`, too.
         gate_prob, start_threshold: Of all others, see `trackers.options`.
         confirm_hits, confirm_scans, drop_misses, drop_scans: Of those that count
             detections, see `trackers.management.MofN`.

@@ -5,7 +5,7 @@ Printed, and used: no two are born at the same place in the same scan; the place
 in `xia2019`.
 
 Printed, and not used unless `born_together` is 3: that there are 12 targets. Table I is
-not of so many: its localisation error, 121 m in all scans together, is that of a Kalman
+not of so many: its localisation error, 120 m in all scans together, is that of a Kalman
 filter that knows whose each detection is where one target is born each time; where
 three are, it has 208 m.
 

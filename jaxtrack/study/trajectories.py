@@ -30,8 +30,8 @@ class Scored(NamedTuple):
 
     Attributes:
         gospa: Of the targets that are there, each [R, T].
-        filtered: The trajectory metric up to each scan, divided by the number of scans,
-            of the trajectories without smoothing, each [R, T].
+        filtered: The trajectory metric up to each scan, normalised by their number (see
+            `metrics.trajectories.over_time`), without smoothing, each [R, T].
         smoothed: The same, of the trajectories as reported.
         dropped: Trajectories that found no room, at worst, [R].
     """

@@ -147,7 +147,7 @@ def _step(
 ) -> tuple[State, verdict.Estimate]:
     """Predicts, scores, follows all hypotheses by their events, keeps the heaviest."""
     target, scan = settings.target, association.filled(scan)
-    key, seed = jax.random.split(state.key)
+    key, seed, drawing = jax.random.split(state.key, 3)
     met = _meet(settings, params, state, scan, seed)
     born = len(met.trees.label) - len(state.trees.label)
     leaf = jnp.pad(state.hypotheses.leaf, ((0, 0), (0, born)))
@@ -159,7 +159,7 @@ def _step(
         met.log_new,
         settings.max_children,
         settings.max_contested,
-        _finder(settings, seed),
+        _finder(settings, drawing),
     )
     trees, hypotheses, label = _grow(settings, params, parents, met, children, scan)
     proposed = jnp.logaddexp(children.log_total, children.log_left)
@@ -185,7 +185,6 @@ def _finder(settings: Settings, key: Array) -> Callable[..., Found]:
     """Returns how children are found: the heaviest of all, or of those drawn."""
     if not settings.num_sweeps:
         return k_best_of_many
-    key = jax.random.fold_in(key, 1)
     return functools.partial(sample_of_many, key, num_sweeps=settings.num_sweeps)
 
 

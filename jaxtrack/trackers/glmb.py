@@ -11,7 +11,8 @@ in a labeled filter the targets (Garcia-Fernandez et al. 2018, section IV, who s
 from there: children are drawn by Gibbs sampling or found by Murty's ranking, and
 reported is the likeliest hypothesis of those with the likeliest number of targets.
 
-`log_evidence` is as in `pmbm`, over the children that were found.
+`log_evidence` is as in `pmbm`, over the children that were found. Where they are drawn,
+`dropped` counts those found and not kept, but none that no chain came to.
 
     >>> from jaxtrack import targets
     >>> from jaxtrack.trackers import glmb

@@ -139,7 +139,8 @@ def of_events(
     answer = association.soft(
         log_score, safe_log(prob), mixture.total(log_weight), exact
     )
-    # A miss that is in no event weighs no more than the last event that was kept.
+    # A miss that is in no event weighs no more than the last that was kept, if events
+    # were ranked; if they were drawn this is a guess.
     least = jnp.min(jnp.where(log_prob > -jnp.inf, log_prob, 0.0))
     none = log_score[:, -1]
     left_out = (prob[:, -1] == 0) & (none > -jnp.inf)

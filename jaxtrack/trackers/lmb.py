@@ -100,8 +100,9 @@ def lmb(
 
     Args:
         target: How one target is filtered, e.g. `targets.single.single()`.
-        method: Of the association probabilities: "auto" or "belief", see `jpda.jpda`,
-            "k-best", of the likeliest joint events, or "gibbs", of those drawn.
+        method: Of the association probabilities: "auto" or "belief", as of `jpda.jpda`,
+            "k-best", of the likeliest joint events, or "gibbs", of those drawn. The
+            estimate does not tell which were exact, nor what the events leave out.
         max_cluster: Tracks that are summed over together, at most.
         max_events: Joint events of "k-best", and of "gibbs", with as many chains.
         num_sweeps: Joint events that each chain of "gibbs" comes to.

@@ -88,8 +88,8 @@ def pmb(
 
     Args:
         target: How one target is filtered, e.g. `targets.single.single()`.
-        method: Of the association probabilities, see `jpda.jpda`: "auto", "exact" or
-            "belief".
+        method: Of the association probabilities: "auto" or "belief", as of
+            `jpda.jpda`; the estimate does not tell which it was.
         max_cluster: Tracks that are summed over together, at most.
         max_events: Instead, take as many of the likeliest joint events, and no other.
         max_tracks: Tracks kept after a scan, the likeliest.

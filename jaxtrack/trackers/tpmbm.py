@@ -57,7 +57,7 @@ def tpmbm(
         max_leaves: Leaves kept of each, the likeliest.
         max_undetected: Components kept of the intensity of undetected targets.
         max_begun: Trees begun in a scan at most, those likeliest to be a target; None
-            for one with each detection.
+            for one with each detection. The others count as false in `log_evidence`.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
         exist_threshold: A tree goes where its target exists with less probability, and

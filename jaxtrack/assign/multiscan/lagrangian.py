@@ -98,8 +98,8 @@ def lagrangian(
             the search.
         keep: The scan whose detections are assigned rather than priced; None prices
             those of all scans.
-        price: What detections may cost, to begin with, [S, K]; 0 if None. A good guess
-            saves rounds.
+        price: What detections may cost, to begin with, none below 0, [S, K]; all 0 if
+            None. A good guess saves rounds.
         leaf: A feasible selection, to begin with, [N]; None if none is known.
 
     Raises:
