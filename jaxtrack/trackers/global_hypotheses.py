@@ -115,7 +115,8 @@ def follow(hypotheses: Hypotheses, log_score: Array, max_children: int) -> Child
     weights = hypotheses.log_weight[:, None] + events.log_score
     kept, index = jax.lax.top_k(weights.ravel(), hypotheses.log_weight.size)
     parent, event = jnp.divmod(index, max_children)
-    return Children(kept, parent, events.column[parent, event], mixture.total(weights))
+    total = mixture.total(weights.ravel())
+    return Children(kept, parent, events.column[parent, event], total)
 
 
 def distinct(hypotheses: Hypotheses, size: int, num_codes: int) -> Leaves:
