@@ -43,8 +43,8 @@ def one_blas_thread() -> None:
     """Gives LAPACK, which XLA calls on a CPU, one thread: runs share the cores.
 
     More of them wait for each other: rmm-mht, whose matrices have up to 40 rows, takes
-    1.4 times as long with two threads on two cores, and 10 times on one. Must come before
-    SciPy is imported, as `jaxtrack.engine` does, since its LAPACK makes its threads
+    1.4 times as long with two threads on two cores, and 10 times on one. Must come
+    before SciPy is imported, as `jaxtrack.engine` does, since its LAPACK makes threads
     then; does nothing where OPENBLAS_NUM_THREADS is set.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
