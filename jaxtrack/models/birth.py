@@ -20,13 +20,14 @@ Reference: Reuter, Vo, Vo and Dietmayer, "The labeled multi-Bernoulli filter", I
 Trans. Signal Processing 62(12), 2014 (the adaptive birth distribution).
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Covariance, Positive, Probability, Simplex, spread_by
 from jaxtrack.models.sensor import Timed
 from jaxtrack.types import Array, Gaussian, PyTree
 
@@ -41,10 +42,10 @@ class MultiBernoulliBirth(NamedTuple):
         mode_prob: Its mode, [B, M].
     """
 
-    existence_prob: Array
-    mean: Array
-    cov: Array
-    mode_prob: Array
+    existence_prob: Probability
+    mean: Annotated[Array, spread_by("cov")]
+    cov: Covariance
+    mode_prob: Simplex
 
 
 class PoissonBirth(NamedTuple):
@@ -57,10 +58,10 @@ class PoissonBirth(NamedTuple):
         mode_prob: Their mode, [B, M].
     """
 
-    rate: Array
-    mean: Array
-    cov: Array
-    mode_prob: Array
+    rate: Positive
+    mean: Annotated[Array, spread_by("cov")]
+    cov: Covariance
+    mode_prob: Simplex
 
     def at_most_one(self) -> MultiBernoulliBirth:
         """Returns births of at most one target a place, as likely as any here.
@@ -83,11 +84,11 @@ class DetectionBirth(NamedTuple):
         mode_prob: Mode of a new target, [M].
     """
 
-    rate: Array
-    max_existence_prob: Array
-    velocity_std: Array
-    extra_std: Array
-    mode_prob: Array
+    rate: Positive
+    max_existence_prob: Probability
+    velocity_std: Positive
+    extra_std: Positive
+    mode_prob: Simplex
 
     def propose(
         self,

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Fixed, Positive
 from jaxtrack.models.sensor import RangeBearing
 from jaxtrack.types import Array
 
@@ -31,9 +32,9 @@ class UniformClutter(NamedTuple):
         high: Upper corner, [Z].
     """
 
-    rate: Array
-    low: Array
-    high: Array
+    rate: Positive
+    low: Fixed
+    high: Fixed
 
     def log_density(self, detection: Array) -> Array:
         """Returns log(rate / volume) inside the box and -inf outside, a scalar."""
@@ -72,11 +73,11 @@ class PolarClutter(NamedTuple):
         heading: The sensor's heading, rad, a scalar.
     """
 
-    rate: Array
-    low: Array
-    high: Array
-    position: Array
-    heading: Array
+    rate: Positive
+    low: Fixed
+    high: Fixed
+    position: Fixed
+    heading: Fixed
 
     def log_density(self, detection: Array) -> Array:
         """Returns the log-density of clutter at (range, bearing, ...), a scalar."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxtrack.constraints import Covariance, Fixed, Positive
 from jaxtrack.models import polar, trig
 from jaxtrack.types import Array, Gaussian
 
@@ -27,7 +28,7 @@ class CorrelatedPosition(NamedTuple):
         noise_cov: m^2, [P, P].
     """
 
-    noise_cov: Array
+    noise_cov: Covariance
     linear = True
 
     @property
@@ -65,8 +66,8 @@ class ConvertedRangeBearing(NamedTuple):
         position: Where the sensor stands, m, [2].
     """
 
-    noise_std: Array
-    position: Array
+    noise_std: Positive
+    position: Fixed
     linear = True
     num_outputs = 2
 

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Positive
 from jaxtrack.entries import Matrix
 from jaxtrack.models import special
 from jaxtrack.types import Array, PyTree
@@ -38,7 +39,7 @@ class ConstantVelocity(NamedTuple):
         noise_density: Power spectral density of the acceleration, m^2/s^3, [P].
     """
 
-    noise_density: Array
+    noise_density: Positive
     linear = True
 
     @property
@@ -79,7 +80,7 @@ class ConstantAcceleration(NamedTuple):
         noise_density: Power spectral density of the jerk, m^2/s^5, [P].
     """
 
-    noise_density: Array
+    noise_density: Positive
     linear = True
 
     @property
@@ -126,8 +127,8 @@ class Singer(NamedTuple):
         time_constant: Seconds over which an acceleration fades to 1/e, [P].
     """
 
-    noise_std: Array
-    time_constant: Array
+    noise_std: Positive
+    time_constant: Positive
     linear = True
 
     @property
@@ -196,8 +197,8 @@ class OrnsteinUhlenbeck(NamedTuple):
             (1 + t / time_constant) exp(-t / time_constant).
     """
 
-    position_std: Array
-    time_constant: Array
+    position_std: Positive
+    time_constant: Positive
     linear = True
 
     @property
@@ -257,7 +258,7 @@ class PiecewiseAcceleration(NamedTuple):
     """
 
     motion: PyTree
-    std: Array
+    std: Positive
 
     @property
     def linear(self) -> bool:

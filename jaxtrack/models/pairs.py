@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Fixed, Positive, Probability, Simplex
 from jaxtrack.models.birth import MultiBernoulliBirth, further_index
 from jaxtrack.models.sensor import Timed
 from jaxtrack.types import Array, Gaussian, PyTree
@@ -39,11 +40,11 @@ class PairBirth(NamedTuple):
         mode_prob: Mode of a new target, [M].
     """
 
-    rate: Array
-    max_existence_prob: Array
-    max_speed: Array
-    extra_std: Array
-    mode_prob: Array
+    rate: Positive
+    max_existence_prob: Probability
+    max_speed: Fixed
+    extra_std: Positive
+    mode_prob: Simplex
 
     def propose(
         self,

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Positive, Probability
 from jaxtrack.types import Array
 
 
@@ -25,7 +26,7 @@ class Constant(NamedTuple):
         value: A scalar in [0, 1].
     """
 
-    value: Array
+    value: Probability
 
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns the probability, whatever the mode, state and interval."""
@@ -40,7 +41,7 @@ class PerMode(NamedTuple):
         value: In [0, 1], [M].
     """
 
-    value: Array
+    value: Probability
 
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns the probability of this mode, whatever the state and interval."""
@@ -55,7 +56,7 @@ class Lifetime(NamedTuple):
         mean_seconds: Mean lifetime, s, a scalar.
     """
 
-    mean_seconds: Array
+    mean_seconds: Positive
 
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns exp(-interval / mean_seconds), whatever the mode and state."""
@@ -76,10 +77,10 @@ class InsideDisc(NamedTuple):
         softness: Metres beyond the rim at which it has fallen to value / (1 + e).
     """
 
-    value: Array
+    value: Probability
     centre: Array
-    radius: Array
-    softness: Array
+    radius: Positive
+    softness: Positive
 
     def prob(self, mode: Array, state: Array, interval: Array) -> Array:
         """Returns the probability at a state's position, whatever mode and interval."""

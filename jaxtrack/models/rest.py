@@ -10,6 +10,7 @@
 from typing import NamedTuple
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Positive
 from jaxtrack.entries import Matrix
 from jaxtrack.models import special
 from jaxtrack.types import Array
@@ -27,8 +28,8 @@ class Rest(NamedTuple):
         velocity_std: m/s, [P].
     """
 
-    wander_density: Array
-    velocity_std: Array
+    wander_density: Positive
+    velocity_std: Positive
     linear = True
 
     @property

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxtrack.constraints import Fixed, Positive
 from jaxtrack.entries import Matrix, dense
 from jaxtrack.models import polar, special
 from jaxtrack.types import Array, Gaussian, PyTree
@@ -33,7 +34,7 @@ class Position(NamedTuple):
         noise_std: m, [P].
     """
 
-    noise_std: Array
+    noise_std: Positive
     linear = True
 
     @property
@@ -68,9 +69,9 @@ class RangeBearing(NamedTuple):
         heading: rad, anticlockwise, a scalar.
     """
 
-    noise_std: Array
-    position: Array
-    heading: Array
+    noise_std: Positive
+    position: Fixed
+    heading: Fixed
     linear = False
     num_outputs = 2
 
@@ -107,9 +108,9 @@ class RangeBearingRate(NamedTuple):
         heading: rad, anticlockwise, a scalar.
     """
 
-    noise_std: Array
-    position: Array
-    heading: Array
+    noise_std: Positive
+    position: Fixed
+    heading: Fixed
     linear = False
     num_outputs = 3
 
@@ -145,9 +146,9 @@ class BearingOnly(NamedTuple):
         heading: rad, anticlockwise, a scalar.
     """
 
-    noise_std: Array
-    position: Array
-    heading: Array
+    noise_std: Positive
+    position: Fixed
+    heading: Fixed
     linear = False
     num_outputs = 1
 
@@ -176,9 +177,9 @@ class AzimuthElevationRange(NamedTuple):
         heading: Of the azimuth, rad, anticlockwise seen from above, a scalar.
     """
 
-    noise_std: Array
-    position: Array
-    heading: Array
+    noise_std: Positive
+    position: Fixed
+    heading: Fixed
     linear = False
     num_outputs = 3
 
@@ -216,7 +217,7 @@ class Delayed(NamedTuple):
     """
 
     sensor: PyTree
-    age: Array
+    age: Fixed
 
     @property
     def linear(self) -> bool:

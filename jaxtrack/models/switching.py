@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Jumps, Positive, Simplex
 from jaxtrack.types import Array
 
 TERMS = 16  # of the exponential series, for arguments up to 1
@@ -36,7 +37,7 @@ class MarkovSwitching(NamedTuple):
         transition: p[i, j] = P(mode j now | mode i before), rows sum to one, [M, M].
     """
 
-    transition: Array
+    transition: Simplex
 
     def log_transition(self, interval: Array) -> Array:
         """Returns log p, [M, M]."""
@@ -57,8 +58,8 @@ class SojournSwitching(NamedTuple):
             not looked at, [M, M].
     """
 
-    mean_sojourn: Array
-    jump_prob: Array
+    mean_sojourn: Positive
+    jump_prob: Jumps
 
     def log_transition(self, interval: Array) -> Array:
         """Returns the log of the matrix exponential of rate * interval, [M, M].

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg
+from jaxtrack.constraints import Positive
 from jaxtrack.entries import Matrix, split
 from jaxtrack.models import special
 from jaxtrack.types import Array, PyTree
@@ -36,7 +37,7 @@ class CoordinatedTurn(NamedTuple):
     """
 
     turn_rate: Array
-    noise_density: Array
+    noise_density: Positive
     linear = True
     dim = 4
     position_index = (0, 2)
@@ -105,8 +106,8 @@ class TurnRate(NamedTuple):
             scalar.
     """
 
-    noise_density: Array
-    turn_noise_density: Array
+    noise_density: Positive
+    turn_noise_density: Positive
     linear = False
     dim = 5
     position_index = (0, 2)
@@ -173,7 +174,7 @@ class ForgottenTurn(NamedTuple):
     """
 
     motion: PyTree
-    spread: Array
+    spread: Positive
     linear = True
 
     @property

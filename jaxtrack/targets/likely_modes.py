@@ -54,12 +54,13 @@ Electronic Systems 36(2), 2000.
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxtrack import linearize, mixture
+from jaxtrack.constraints import Probability, below
 from jaxtrack.targets import banks, blending, gauge, likely_set, verbs
 from jaxtrack.types import Array, Gaussian, Mixture, Target
 
@@ -82,8 +83,8 @@ class Params(NamedTuple):
     sensor: Any
     survive: Any
     detect: Any
-    unlikely_prob: Array
-    principal_prob: Array
+    unlikely_prob: Annotated[Array, below("principal_prob")]
+    principal_prob: Probability
 
     @property
     def layout(self) -> Any:

@@ -32,6 +32,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack import linalg, mixture
+from jaxtrack.constraints import Positive, Simplex
 from jaxtrack.entries import dense
 from jaxtrack.linalg import safe_log
 from jaxtrack.trackers.association import LEAST_LOG_WEIGHT
@@ -49,8 +50,8 @@ class Spread(NamedTuple):
         share: Of each in the mixture, summing to one, [S].
     """
 
-    scale: Array
-    share: Array
+    scale: Positive
+    share: Simplex
 
 
 class Claims(NamedTuple):

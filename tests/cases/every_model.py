@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import pkgutil
+import typing
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -291,7 +292,7 @@ def every_field():
             if model.__module__ == info.name and hasattr(model, "_fields"):
                 found |= {
                     f"{name}.{field}"
-                    for field, kind in inspect.get_annotations(model).items()
+                    for field, kind in typing.get_type_hints(model).items()
                     if kind is Array
                 }
     return found
