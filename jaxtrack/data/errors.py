@@ -23,9 +23,23 @@ def import_pandas() -> Any:
     Raises:
         DataError: If pandas is not installed.
     """
+    return _import("pandas", "Reading and writing tables needs pandas", "io")
+
+
+def import_xarray() -> Any:
+    """Imports xarray, which only labelled arrays need; as `import_pandas`."""
+    return _import("xarray", "Labelled arrays need xarray", "io")
+
+
+def import_stonesoup(part: str) -> Any:
+    """Imports a part of Stone Soup such as `types.track`; as `import_pandas`."""
+    what = "Exchanging data with Stone Soup needs stonesoup"
+    return _import(f"stonesoup.{part}", what, "stonesoup")
+
+
+def _import(module: str, what: str, extra: str) -> Any:
+    """Imports a module, or says what it is needed for and which extra brings it."""
     try:
-        return importlib.import_module("pandas")
+        return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise DataError(
-            'Reading and writing tables needs pandas: pip install "jaxtrack[io]".'
-        ) from error
+        raise DataError(f'{what}: pip install "jaxtrack[{extra}]".') from error

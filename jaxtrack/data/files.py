@@ -12,14 +12,14 @@ Example:
 import importlib.util
 import os
 import pathlib
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxtrack.data import geodesy
-from jaxtrack.data.errors import DataError, import_pandas
+from jaxtrack.data.cells import read_cells, read_numbers, read_times, refuse
+from jaxtrack.data.errors import DataError
 
 HARBOUR_FILE = "python_example_data/NYHarbor_2020_06_30_first_hour.csv"
 
@@ -79,20 +79,23 @@ def read_detections(
     Raises:
         DataError: If the file, a column or a cell is missing or wrong.
     """
-    pandas = import_pandas()
-    frame = _read_cells(pandas, path)
+    frame = read_cells(path)
+    if not len(frame):
+        raise DataError(
+            f"{path} has no detections; it needs a header and one row for each."
+        )
     names = _choose_columns(path, list(frame), columns or {})
-    time, start = _read_times(pandas, path, frame[names["time"]])
+    time, start = read_times(path, frame[names["time"]])
     if sort:
         order = np.argsort(time, kind="stable")
         frame, time = frame.iloc[order], time[order]
     backwards = np.diff(time, prepend=-np.inf) < 0.0
     why = "is earlier than the row before it; sort the file, or read it with sort=True"
-    _refuse(path, frame[names["time"]], backwards, why)
+    refuse(path, frame[names["time"]], backwards, why)
 
     first, second = [key for key in ALIASES if key in names and key != "time"]
-    one = _read_numbers(pandas, path, frame[names[first]])
-    two = _read_numbers(pandas, path, frame[names[second]])
+    one = read_numbers(path, frame[names[first]])
+    two = read_numbers(path, frame[names[second]])
     if first == "lat":
         _check_degrees(path, frame[names["lat"]], one, 90)
         _check_degrees(path, frame[names["lon"]], two, 180)
@@ -149,46 +152,6 @@ def harbour_path() -> pathlib.Path:
     )
 
 
-def _read_cells(pandas: Any, path: str | os.PathLike[str]) -> Any:
-    """Reads every cell as text; the index is the row's number in a spreadsheet."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pandas.errors.ParserWarning)
-            frame = pandas.read_csv(
-                path,
-                dtype=str,
-                keep_default_na=False,
-                skip_blank_lines=False,  # or rows would lose their numbers
-                skipinitialspace=True,
-                index_col=False,
-                encoding="utf-8-sig",
-            )
-    except FileNotFoundError as error:
-        raise DataError(f"{path} does not exist; check the file's path.") from error
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise DataError(f"{path} cannot be read ({why}); check the path.") from error
-    except pandas.errors.EmptyDataError:
-        frame = pandas.DataFrame()
-    except (ValueError, pandas.errors.ParserWarning) as error:
-        why = str(error).strip().split("C error: ")[-1]
-        if isinstance(error, pandas.errors.ParserWarning):
-            why = "a row has more cells than the header"
-        raise DataError(
-            f"{path} is not a table in CSV form ({why}); separate its columns by "
-            "commas and save it as UTF-8 text."
-        ) from error
-    frame.columns = [str(name).strip() for name in frame]
-    frame.index = range(2, len(frame) + 2)
-    frame = frame.fillna("")
-    frame = frame[(frame != "").any(axis=1)]
-    if not len(frame):
-        raise DataError(
-            f"{path} has no detections; it needs a header and one row for each."
-        )
-    return frame
-
-
 def _choose_columns(
     path: str | os.PathLike[str], found: Sequence[str], columns: Mapping[str, str]
 ) -> dict[str, str]:
@@ -224,46 +187,9 @@ def _choose_columns(
     return {key: names[key] for key in ("time", *pair)}
 
 
-def _read_times(
-    pandas: Any, path: str | os.PathLike[str], cells: Any
-) -> tuple[np.ndarray, str | None]:
-    """Reads seconds, or ISO times as seconds after the earliest of them."""
-    if pandas.to_numeric(cells.iloc[:1], errors="coerce").notna().all():
-        return _read_numbers(pandas, path, cells), None
-    stamps = pandas.to_datetime(
-        cells.str.strip(), format="ISO8601", errors="coerce", utc=True
-    )
-    why = "is neither seconds nor an ISO time such as 2020-06-30T12:00:00; correct it"
-    _refuse(path, cells, stamps.isna().to_numpy(), why)
-    start = stamps.min()
-    time = (stamps - start).dt.total_seconds().to_numpy(float)
-    return time, start.tz_localize(None).isoformat()
-
-
-def _read_numbers(pandas: Any, path: str | os.PathLike[str], cells: Any) -> np.ndarray:
-    """Reads a column of finite numbers."""
-    values = pandas.to_numeric(cells.str.strip(), errors="coerce").to_numpy(float)
-    why = "is not a finite number; correct the cell or remove the row"
-    _refuse(path, cells, ~np.isfinite(values), why)
-    return values
-
-
 def _check_degrees(
     path: str | os.PathLike[str], cells: Any, values: np.ndarray, limit: int
 ) -> None:
     """Refuses angles beyond a limit; AIS writes 91 and 181 for a missing position."""
     why = f"is outside -{limit} to {limit} degrees; correct the cell or remove the row"
-    _refuse(path, cells, np.abs(values) > limit, why)
-
-
-def _refuse(
-    path: str | os.PathLike[str], cells: Any, bad: np.ndarray, why: str
-) -> None:
-    """Raises for the first bad cell of a column, if there is one."""
-    if bad.any():
-        k = int(np.argmax(bad))
-        cell = cells.iloc[k].strip()
-        raise DataError(
-            f"{path}, column {cells.name!r}, row {cells.index[k]}: "
-            f"{repr(cell) if cell else 'a blank cell'} {why}."
-        )
+    refuse(path, cells, np.abs(values) > limit, why)

@@ -81,28 +81,66 @@ def group_scans(
     window, end = _windows(time, period)
     scan_of, scan_time = _number_scans(window, end, period, max_empty)
 
+    if ages:
+        xy = np.concatenate([xy, (scan_time[scan_of] - time)[:, None]], axis=1)
+    return fill_scans(scan_of, xy, scan_time, period, max_detections)
+
+
+def fill_scans(
+    scan_of: Any,
+    measured: Any,
+    scan_time: Any,
+    first_interval: float | None = None,
+    max_detections: int | None = None,
+) -> Scans:
+    """Puts detections into the slots of the scans they belong to.
+
+    Args:
+        scan_of: The scan of each detection, counted from 0, in any order, [n]. Those
+            of one scan fill its slots in the order in which they are given.
+        measured: What was measured, [n, Z].
+        scan_time: The end of each scan in seconds, [T].
+        first_interval: Seconds before the first scan, by default the median of the
+            other intervals (1 s if there is no other).
+        max_detections: Number of slots K; by default the largest scan's, and at least
+            1. A fuller scan keeps its first K detections, with a warning.
+
+    Returns:
+        The scans; empty slots hold zeros.
+
+    Raises:
+        DataError: If the scans would not fit into memory.
+    """
+    scan_of, measured = np.asarray(scan_of, int), np.asarray(measured, float)
+    scan_time = np.asarray(scan_time, float)
     num_scans = len(scan_time)
     count = np.bincount(scan_of, minlength=num_scans)
-    size = max_detections or int(count.max())
+    size = max_detections or int(count.max(initial=1))
     if num_scans * size > MAX_SLOTS:
         raise DataError(
             f"{num_scans} scans of {size} slots do not fit into memory; set a smaller "
             "max_detections, or another period."
         )
-    slot = np.arange(len(time)) - (np.cumsum(count) - count)[scan_of]
+    order = np.argsort(scan_of, kind="stable")
+    slot = np.empty_like(order)
+    slot[order] = np.arange(len(order)) - (np.cumsum(count) - count)[scan_of[order]]
     kept = slot < size
     row = np.full((num_scans, size), -1)
     row[scan_of[kept], slot[kept]] = np.flatnonzero(kept)
     _warn_of_dropped(count, size, scan_time)
 
-    if ages:
-        xy = np.concatenate([xy, (scan_time[scan_of] - time)[:, None]], axis=1)
-    detections = np.where((row >= 0)[:, :, None], xy[row], 0.0)
+    # A detection more, as an array of none cannot be indexed.
+    padded = np.concatenate([measured, np.zeros((1, measured.shape[1]))])
     rest = np.diff(scan_time)
-    first = period or (np.median(rest) if len(rest) else 1.0)
+    first = first_interval or (np.median(rest) if len(rest) else 1.0)
+    interval = np.append(first, rest)[:num_scans]
     # NumPy arrays, as 64 bits would be lost in jax's before float64 is switched on.
-    scan = Scan._make((detections, row >= 0, np.append(first, rest)))
-    return Scans(scan, scan_time, row, np.maximum(count - size, 0))
+    return Scans(
+        Scan._make((padded[row], row >= 0, interval)),
+        scan_time,
+        row,
+        np.maximum(count - size, 0),
+    )
 
 
 def truth_at(
@@ -208,5 +246,5 @@ def _warn_of_dropped(count: np.ndarray, size: int, scan_time: np.ndarray) -> Non
             f"{np.count_nonzero(lost)} scans, as max_detections is {size}; the fullest "
             f"scan, at {scan_time[worst]:g} s, has {count[worst]}; "
             "raise max_detections to keep all.",
-            stacklevel=3,
+            stacklevel=4,
         )

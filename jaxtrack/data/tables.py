@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 
 from jaxtrack.data import geodesy
-from jaxtrack.data.errors import DataError, import_pandas
+from jaxtrack.data.cells import write_cells
+from jaxtrack.data.errors import import_pandas
 from jaxtrack.types import PyTree
 
 DECIMALS = {"lat": 7, "lon": 7, "existence_prob": 4}  # 1e-7 degrees are 1 cm
@@ -57,11 +58,7 @@ def tracks_table(
         with three axes; metres and seconds), existence_prob, and perhaps lat, lon.
     """
     pandas = import_pandas()
-    exists = np.asarray(estimates.exists)
-    scan, slot = np.nonzero(exists)
-    label = np.asarray(estimates.label)[scan, slot]
-    order = np.lexsort((label, scan))
-    scan, slot, label = scan[order], slot[order], label[order]
+    scan, slot, label = reported(estimates)
     mean = np.asarray(estimates.mean, float)[scan, slot]
     cov = np.asarray(estimates.cov, float)[scan, slot]
 
@@ -87,6 +84,21 @@ def tracks_table(
     return pandas.DataFrame(columns)
 
 
+def reported(estimates: PyTree) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finds the n reported targets, scan by scan, in the order of their labels.
+
+    Args:
+        estimates: Estimates of a tracker with a leading T: label and exists [T, N].
+
+    Returns:
+        The scan, the slot and the label of each, all [n].
+    """
+    scan, slot = np.nonzero(np.asarray(estimates.exists))
+    label = np.asarray(estimates.label)[scan, slot]
+    order = np.lexsort((label, scan))
+    return scan[order], slot[order], label[order]
+
+
 def write_tracks(path: str | os.PathLike[str], table: Any) -> None:
     """Writes a table of tracks as CSV, rounded to what its numbers can mean.
 
@@ -100,8 +112,4 @@ def write_tracks(path: str | os.PathLike[str], table: Any) -> None:
         DataError: If the file cannot be written.
     """
     decimals = {name: DECIMALS.get(name, 3) for name in table}
-    try:
-        table.round(decimals).to_csv(path, index=False)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise DataError(f"{path} cannot be written ({why}); check the path.") from error
+    write_cells(path, table.round(decimals))
