@@ -201,6 +201,13 @@ def test_wrong_truth_gets_one_sentence():
         rows.truth_from_rows([0.0], [1], [[math.nan]])
 
 
+def test_times_must_rise():
+    with pytest.raises(
+        ValueError, match=r"times\[1\] is 0.0, not after the one before"
+    ):
+        rows.truth_from_rows([0.0], [1], [[1.0]], [1.0, 0.0])
+
+
 def test_rows_that_would_fill_the_memory_are_refused():
     many = np.arange(10_000)
     with pytest.raises(DataError, match="10000 times of 10000 identities do not fit"):

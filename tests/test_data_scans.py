@@ -117,6 +117,21 @@ def test_scans_beyond_memory_are_refused():
         scans.group_scans(time, np.ones((len(time), 2)))
 
 
+@pytest.mark.parametrize("scan", [-1, 2])
+def test_detections_of_no_scan_are_refused(scan):
+    with pytest.raises(ValueError, match=f"scan_of has {scan}, but there are 2 scans"):
+        scans.fill_scans([0, scan], np.ones((2, 1)), [0.0, 1.0])
+
+
+def test_detections_out_of_order_fill_the_slots_of_their_scans():
+    measured = np.arange(10.0).reshape(5, 2)
+    got = scans.fill_scans([2, 0, 2, 0, 2], measured, [1.0, 4.0, 5.5], 0.25)
+    assert got.row.tolist() == [[1, 3, -1], [-1, -1, -1], [0, 2, 4]]
+    np.testing.assert_array_equal(got.scan.detections[2], measured[[0, 2, 4]])
+    np.testing.assert_array_equal(got.scan.detections[0], [*measured[[1, 3]], [0, 0]])
+    assert got.scan.interval.tolist() == [0.25, 3.0, 1.5]
+
+
 # Truth.
 
 

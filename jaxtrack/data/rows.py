@@ -55,6 +55,7 @@ def truth_from_rows(
         state is zero where the identity has no row.
 
     Raises:
+        ValueError: If `times` do not rise.
         DataError: If an identity has two rows for one time, a row has a time that is
             not among `times`, a state is not finite, or all would not fit into memory.
     """
@@ -86,7 +87,13 @@ def truth_from_rows(
 
 
 def _check(time: np.ndarray, state: np.ndarray, every: np.ndarray) -> None:
-    """Refuses rows that cannot be placed."""
+    """Refuses times without order and rows that cannot be placed."""
+    back = np.diff(every) <= 0.0
+    if back.any():
+        k = int(np.argmax(back)) + 1
+        raise ValueError(
+            f"times[{k}] is {every[k]}, not after the one before it; sort the times."
+        )
     wrong = ~np.isfinite(state).all(axis=1)
     if wrong.any():
         k = int(np.argmax(wrong))

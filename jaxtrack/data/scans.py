@@ -109,11 +109,18 @@ def fill_scans(
         The scans; empty slots hold zeros.
 
     Raises:
+        ValueError: If a detection is of a scan that there is not.
         DataError: If the scans would not fit into memory.
     """
     scan_of, measured = np.asarray(scan_of, int), np.asarray(measured, float)
     scan_time = np.asarray(scan_time, float)
     num_scans = len(scan_time)
+    strange = scan_of[(scan_of < 0) | (scan_of >= num_scans)]
+    if strange.size:
+        raise ValueError(
+            f"scan_of has {strange[0]}, but there are {num_scans} scans; count them "
+            "from 0."
+        )
     count = np.bincount(scan_of, minlength=num_scans)
     size = max_detections or int(count.max(initial=1))
     if num_scans * size > MAX_SLOTS:
