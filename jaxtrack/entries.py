@@ -14,6 +14,7 @@ pytree of the entries that are not known: `vmap`, `scan` and `grad` take it as i
 """
 
 import math
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.types import Array, PyTree
 
@@ -206,8 +208,9 @@ def symmetric(entry: Callable[[int, int], Entry], size: int) -> Matrix:
 
 def split(array: Array) -> Matrix:
     """Returns the entries of an array [R, C], of many [N, R, C] each an array [N]."""
+    made = _made(array)
     # Row by row, as `dense` joins them: XLA then sees through the one and the other.
-    return Matrix(map(scalars, apart(array, -2)))
+    return made or Matrix(map(scalars, apart(array, -2)))
 
 
 def scalars(array: Array) -> list[Array]:
@@ -226,14 +229,15 @@ def apart(array: Array, axis: int) -> list[Array]:
 
 def column(array: Array) -> Matrix:
     """Returns the entries of an array [N], one below the other."""
-    return Matrix([x] for x in scalars(array))
+    return _made(array) or Matrix([x] for x in scalars(array))
 
 
 def flat(matrix: Matrix | Array) -> Array:
     """Returns a matrix of one column, [N, 1], as an array [N]."""
     array = dense(matrix)
     chex.assert_axis_dimension(array, -1, 1)
-    return array.sum(-1)
+    array = array.sum(-1)
+    return _remembered(array, matrix) if isinstance(matrix, Matrix) else array
 
 
 def dense(matrix: Matrix | Array) -> Array:
@@ -247,7 +251,32 @@ def dense(matrix: Matrix | Array) -> Array:
 
     # Row by row: XLA on CPU is slow at joining many small pieces at once.
     stacked = [jnp.stack([full(x) for x in row], axis=-1) for row in matrix.rows]
-    return jnp.stack(stacked, axis=-2)
+    return _remembered(jnp.stack(stacked, axis=-2), matrix)
+
+
+# The entries of arrays in programs that are being traced, by the arrays' ids.
+_MADE: dict[int, tuple[weakref.ref, Matrix]] = {}
+
+
+def _remembered(array: Array, matrix: Matrix) -> Array:
+    """Returns an array, of which `split` and `column` will know the entries.
+
+    One function joins what the next takes apart, and XLA on CPU does not always see
+    through: it would copy whole matrices between the two, and forget what is zero.
+    """
+    shape, dtype = matrix.shape[:-2], matrix.dtype
+    unknown = [x for row in matrix.rows for x in row if _number(x) is None]
+    same = all((jnp.shape(x), x.dtype) == (shape, dtype) for x in unknown)
+    if same and isinstance(array, Tracer):
+        key = id(array)
+        _MADE[key] = weakref.ref(array, lambda _: _MADE.pop(key, None)), matrix
+    return array
+
+
+def _made(array: Array) -> Matrix | None:
+    """Returns the entries that an array was made of, if it was and they are known."""
+    where, matrix = _MADE.get(id(array), (None, None))
+    return matrix if where is not None and where() is array else None
 
 
 def arrays(tree: PyTree) -> PyTree:

@@ -1,5 +1,7 @@
 """Tests of `jaxtrack.entries` against NumPy, with numbers known and not."""
 
+import gc
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -115,3 +117,32 @@ def test_symmetric_computes_one_triangle():
     assert asked == [(i, j) for i in range(3) for j in range(i, 3)]
     np.testing.assert_array_equal(np.asarray(matrix), np.asarray(matrix.T))
     assert matrix.rows[2][1] == 12
+
+
+def test_what_was_joined_is_not_taken_apart_again():
+    """Known numbers stay known across `dense` and `split`, while it is traced."""
+    seen = {}
+
+    def join(x):
+        matrix = sample(x)[0]
+        array = entries.dense(matrix)
+        seen["same"] = entries.split(array).rows == matrix.rows
+        seen["flat"] = entries.column(entries.flat(Matrix([[x], [0]]))).rows[1]
+        seen["changed"] = entries.split(array + 1.0).rows[0][0]
+        return entries.split(array) @ entries.split(2.0 * array).T, array
+
+    x = np.array([0.5, -3.0])
+    product, array = jax.jit(jax.vmap(join))(x)
+    assert seen["same"]
+    assert seen["flat"] == (0,)
+    assert not isinstance(seen["changed"], int)
+    expected = np.stack([as_numpy(value)[0] for value in x])
+    chex.assert_trees_all_close(array, expected, rtol=1e-14)
+    square = 2 * expected @ expected.transpose(0, 2, 1)
+    chex.assert_trees_all_close(entries.dense(product), square, rtol=1e-14)
+
+
+def test_nothing_is_remembered_of_a_program_that_is_traced():
+    jax.jit(lambda x: entries.dense(sample(x)[0]))(0.3)
+    gc.collect()
+    assert not entries._MADE
