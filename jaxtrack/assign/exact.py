@@ -135,7 +135,7 @@ def _solve(
     if adapt:
         raw = _sorted(size, order.size, (weight, miss, spare, order))
     else:
-        raw = _tabulate(size, weight, miss, spare, order)
+        raw = _tabulate(size, False, weight, miss, spare, order)
     norm = raw.sum(1)
     counts = order.shared & (order.bit == 0)
     safe = jnp.where(counts, norm, 1.0)
@@ -156,7 +156,7 @@ def _sorted(size: int, largest: Array, problem: tuple) -> Array:
         problem: Its arguments but the first.
     """
     sizes = [bits for bits in SIZES if bits < size] + [size]
-    branches = [functools.partial(_tabulate, bits) for bits in sizes]
+    branches = [functools.partial(_tabulate, bits, True) for bits in sizes]
 
     def block(largest: Array, problem: tuple) -> Array:
         enough = (jnp.array(sizes) < largest.max()).sum()
@@ -179,7 +179,12 @@ def _sorted(size: int, largest: Array, problem: tuple) -> Array:
 
 
 def _tabulate(
-    num_bits: int, weight: Array, miss: Array, spare: Array, order: clusters.Steps
+    num_bits: int,
+    skips: bool,
+    weight: Array,
+    miss: Array,
+    spare: Array,
+    order: clusters.Steps,
 ) -> Array:
     """Sums the weights of all joint events of a cluster that have a track in a column.
 
@@ -189,7 +194,7 @@ def _tabulate(
     if not spare.size:
         return miss[:, None]
     given = subsets.steps(num_bits, weight, miss, spare, order)
-    pairs, lone = subsets.forward(given, subsets.backward(given))
+    pairs, lone = subsets.forward(given, subsets.backward(given), skips)
 
     number = weight.shape[-1]
     bit = jnp.minimum(order.bit, num_bits - 1)

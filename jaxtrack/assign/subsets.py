@@ -96,8 +96,15 @@ def backward(steps: Step) -> Array:
     return jax.lax.scan(one, start, steps, reverse=True)[1]
 
 
-def forward(steps: Step, after: Array) -> tuple[Array, Array]:
+def forward(steps: Step, after: Array, skips: bool = True) -> tuple[Array, Array]:
     """Sums over all subsets of tracks that have a detection before a step.
+
+    Args:
+        steps: [K, ...].
+        after: Of `backward`.
+        skips: Whether to leave out what is needed at the end of a cluster only, where
+            no problem is at one. Slopes of many by `vmap` cannot: JAX has no transpose
+            of the choice.
 
     Returns:
         Weight of all joint events in which the step's detection goes to a track, and of
@@ -118,7 +125,8 @@ def forward(steps: Step, after: Array) -> tuple[Array, Array]:
             kept, held = _halves(grown, bit)
             grown = _join(kept, held + low * weight[None, None])
         # Apart, so that it is computed at the end of a cluster only, from what is done.
-        lone = jax.lax.cond(step.last.any(), _lone, _none, grown, after)
+        needed = step.last.any() if skips else True
+        lone = jax.lax.cond(needed, _lone, _none, grown, after)
         before = jnp.where(step.used[None], grown, before)
         return before, (jnp.stack(pairs), lone)
 
