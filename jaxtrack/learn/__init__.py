@@ -1,7 +1,11 @@
 """Learning parameters by gradient, through any tracker.
 
-Parameters say what values they may have (`jaxtrack.constraints`). `unconstrain` turns
-them into free numbers, and back, for an optimiser of one's own.
+    free, constrain = learn.unconstrain(params)       # for an optimiser of one's own
+    result = learn.fit(tracker, params, scans)        # the whole of it
+
+Parameters say what values they may have (`jaxtrack.constraints`); `learn.loss` has what
+can be made small, by default the negative log-evidence, so that a fit is one of maximum
+likelihood. `docs/learning.md` says what can be known from scans and what cannot.
 
     >>> import numpy as np
     >>> from jaxtrack import learn
@@ -16,12 +20,67 @@ them into free numbers, and back, for an optimiser of one's own.
 """
 
 import functools
+import os
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
-from jaxtrack.learn import leaves, supports
-from jaxtrack.types import PyTree
+import jax
+import optax
 
-__all__ = ["leaves", "supports", "unconstrain"]
+from jaxtrack.learn import (
+    history,
+    information,
+    leaves,
+    loop,
+    loss,
+    segments,
+    sizes,
+    slopes,
+    supports,
+)
+from jaxtrack.learn.history import History
+from jaxtrack.learn.information import Information
+from jaxtrack.learn.loss import Loss, evidence
+from jaxtrack.types import Array, PyTree, Tracker
+
+__all__ = [
+    "Fit",
+    "fit",
+    "history",
+    "information",
+    "leaves",
+    "loop",
+    "loss",
+    "segments",
+    "sizes",
+    "slopes",
+    "supports",
+    "unconstrain",
+]
+
+DEFAULT = optax.adam(0.05)
+
+
+class Fit(NamedTuple):
+    """What a fit found.
+
+    Attributes:
+        params: Those of the least loss; with `batch` or `window`, whose losses cannot
+            be compared, and after a divergence the last ones that were finite.
+        history: What it came through.
+        information: Standard errors of what was learned by path, and what they follow
+            from; None where the loss is not the evidence, or there was no step.
+        num_steps: How many steps it took.
+        stopped: "converged", "diverged" or "out of steps".
+        message: The same in a sentence.
+    """
+
+    params: PyTree
+    history: History | None
+    information: Information | None
+    num_steps: int
+    stopped: loop.Stopped
+    message: str
 
 
 def unconstrain(
@@ -49,3 +108,87 @@ def unconstrain(
     plan = leaves.plan(params, where)
     free = leaves.unconstrain(plan, params)
     return free, functools.partial(leaves.constrain, plan, params)
+
+
+def fit(
+    tracker: Tracker,
+    params: PyTree,
+    scans: PyTree,
+    optimizer: optax.GradientTransformation = DEFAULT,
+    *,
+    where: leaves.Where | None = None,
+    loss: Loss = evidence,
+    truth: PyTree = None,
+    prior: Callable[[Any], Array] | None = None,
+    num_steps: int = 300,
+    patience: int | None = 20,
+    tolerance: float = 1e-6,
+    batch: int | None = None,
+    window: int | None = None,
+    seed: int = 0,
+    block: int = 16,
+    segment: int | None = None,
+    errors: bool = True,
+    directory: str | os.PathLike[str] | None = None,
+    progress: loop.Progress | None = None,
+) -> Fit:
+    """Learns parameters from recordings.
+
+    Steps are compiled once for a tracker, an optimiser (the same object), a loss, a
+    choice of what is learned and the sizes of the data.
+
+    Args:
+        tracker: Any tracker.
+        params: Where to start, with numbers. The loss has many valleys: start near.
+        scans: One recording [T] or several of the same length [R, T].
+        optimizer: Of optax. It sees free numbers (`unconstrain`), most of them logs or
+            log-odds, so that a step of 0.05 is some 5 percent.
+        where: What is learned, see `unconstrain`.
+        loss: Of `learn.loss`, or one's own.
+        truth: Arrays [T] or [R, T] as the scans, which the loss gets as a third
+            argument; None for none.
+        prior: (params) -> log-density of the parameters themselves, for a fit of
+            maximum a posteriori.
+        num_steps: Steps at most.
+        patience: It has converged when so many steps did not lower the loss by
+            `tolerance`; None for never.
+        tolerance: See `patience`; in units of the loss, which is per scan.
+        batch: Recordings drawn anew for each step; by default all.
+        window: Consecutive scans of each that are drawn anew for each step, at whose
+            first the tracker begins afresh; by default all.
+        seed: Of what is drawn, and of the trackers that draw: recording r has the same
+            key in every step.
+        block: Recordings that are computed side by side, see `engine.map_runs`.
+        segment: To save memory in long recordings, see `segments.run`.
+        errors: Whether to measure standard errors, by two gradients of all scans for
+            each number that is learned.
+        directory: Where the fit is kept; run again, it goes on and gives the same
+            numbers. Optimiser and loss are taken to be the same.
+        progress: Called with the number of steps done, that of all, and the loss.
+
+    Returns:
+        The parameters, and how well they are known.
+
+    Raises:
+        ValueError: A number that makes no sense, scans that do not fit, a directory
+            that holds another fit, or a reason of `unconstrain`.
+    """
+    several, number, total = sizes.recordings(scans, truth)
+    counts = {"num_steps": num_steps, "patience": patience, "segment": segment}
+    sizes.check(number, total, batch, window, block=block, **counts)
+    plan = leaves.plan(params, where)
+    problem = slopes.Problem(tracker, plan, loss, prior, batch, window, block, segment)
+    data = slopes.gather(scans, truth, seed, several)
+    task = loop.Task(problem, optimizer, params, data, seed)
+    rules = loop.Rules(num_steps, patience, tolerance)
+    end = loop.walk(task, rules, progress, directory)
+    if not end.places:
+        return Fit(params, None, None, 0, end.stopped, end.message)
+    told = history.stacked(end.places)
+    last = slopes.is_noisy(problem) or end.stopped == "diverged"
+    free = end.places[loop.best_of(told, last)].free
+    found = jax.jit(leaves.constrain, static_argnums=0)(plan, params, free)
+    known = None
+    if errors and loss is evidence:
+        known = information.observed(problem, params, data, free)
+    return Fit(found, told, known, len(told.loss), end.stopped, end.message)

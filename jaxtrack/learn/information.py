@@ -1,0 +1,112 @@
+"""How well learned numbers are known: standard errors from the observed information.
+
+The information is the Hessian of the total negative log-evidence, less the log-prior,
+in the free numbers, by central differences of its exact slopes. Standard errors are
+those of the parameters themselves, by the delta method. A parameter that the scans tell
+nothing about, alone or apart from others, has an infinite one. Where the evidence is an
+approximation they are as good as that.
+
+    >>> import numpy as np
+    >>> from jaxtrack.learn import information
+    >>> told = np.array([[4.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    >>> print(information.std_of(np.eye(3), told))  # of the last two only the sum
+    [0.5 inf inf]
+
+Reference: Efron and Hinkley, "Assessing the accuracy of the maximum likelihood
+estimator: observed versus expected Fisher information", Biometrika 65(3), 1978.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxtrack.learn import leaves, slopes
+from jaxtrack.types import PyTree
+
+
+class Information(NamedTuple):
+    """What n free numbers are known by.
+
+    Attributes:
+        names: The entry that each stands at, [n].
+        hessian: The observed information, [n, n].
+        std_error: Of the learned arrays by path; 0 where an entry does not move.
+    """
+
+    names: list[str]
+    hessian: np.ndarray
+    std_error: dict[str, np.ndarray]
+
+
+def observed(
+    problem: slopes.Problem, params: PyTree, data: slopes.Data, free: leaves.Free
+) -> Information:
+    """Measures the information at free numbers, by 2 n gradients.
+
+    Args:
+        problem: With the loss `loss.evidence`; all of the data count.
+        params: Those at the start.
+        data: Of all recordings.
+        free: Where.
+    """
+    whole = problem._replace(batch=None, window=None)
+    vector, unravel = ravel_pytree(free)
+    centre = np.asarray(vector)
+    key = data.keys[0]
+
+    def gradient(vector: Any) -> np.ndarray:
+        told = slopes.slope(whole, params, data, unravel(vector), key).gradient
+        return np.concatenate([np.ravel(told[name]) for name in sorted(told)])
+
+    step = np.finfo(centre.dtype).eps ** (1 / 3) * np.maximum(1, np.abs(centre))
+    columns = []
+    for i, size in enumerate(step):
+        move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
+        ahead, back = gradient(centre + move), gradient(centre - move)
+        columns.append((ahead - back).astype(float) / (2 * float(size)))
+    hessian = slopes.num_scans(data) * np.array(columns)
+    hessian = (hessian + hessian.T) / 2
+    rate = _jacobian(problem.plan, params, free)
+    tolerance = 10 * float(np.sqrt(np.finfo(centre.dtype).eps))
+    std_error = {
+        name: std_of(
+            np.asarray(rows, float).reshape(-1, len(centre)), hessian, tolerance
+        ).reshape(rows.shape[:-1])
+        for name, rows in rate.items()
+    }
+    return Information(leaves.entries(problem.plan, params), hessian, std_error)
+
+
+def std_of(
+    rows: np.ndarray, hessian: np.ndarray, tolerance: float = 1.5e-7
+) -> np.ndarray:
+    """Returns the standard deviations of linear functions of the free numbers.
+
+    Args:
+        rows: The functions, [E, n].
+        hessian: The information, [n, n].
+        tolerance: Information below this, where each number alone has 1, is none.
+
+    Returns:
+        [E]; infinite for what depends on something that there is no information about.
+    """
+    alone = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    scale = np.where(alone > 0, alone, 1.0)
+    value, vector = np.linalg.eigh(hessian / np.outer(scale, scale))
+    square = (rows / scale @ vector) ** 2
+    known = value > tolerance
+    unknown = (square > tolerance * square.sum(1, keepdims=True)) & ~known
+    variance = np.where(known, square / np.where(known, value, 1.0), 0.0).sum(1)
+    return np.where(unknown.any(1), np.inf, np.sqrt(variance))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _jacobian(
+    plan: leaves.Plan, params: PyTree, free: leaves.Free
+) -> dict[str, jax.Array]:
+    """Returns the slopes of the learned arrays, each [..., n]."""
+    vector, unravel = ravel_pytree(free)
+    return jax.jacfwd(lambda x: leaves.values_of(plan, params, unravel(x)))(vector)

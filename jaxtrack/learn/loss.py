@@ -1,0 +1,177 @@
+"""What a fit makes small: a number for the estimates of one recording.
+
+A loss is a function (estimates, scans) -> scalar, of a tracker's `Estimate` and of
+scans with a leading T, or (estimates, scans, truth) where `fit` is given the truth. It
+should be a mean over scans, so that step sizes do not depend on T. `evidence` and
+`held_out` need no truth; `ospa` and `gospa` are the metrics in a form with slopes:
+
+- an estimate counts with its probability to exist, as Xia et al. have it, and
+- Sinkhorn's shares stand for the assignment (`assign.soft`). As the temperature falls,
+  and where existence is 0 or 1, they are the metrics themselves.
+
+    >>> import types
+    >>> import numpy as np
+    >>> from jaxtrack.learn import loss
+    >>> estimates = types.SimpleNamespace(log_evidence=np.array([-1.0, -3.0, -6.0]))
+    >>> print(loss.evidence(estimates, None), loss.held_out(0.5)(estimates, None))
+    3.3333333333333335 4.5
+
+References: Xia, Garcia-Fernandez, Karlsson, Ge, Svensson and Yuan, "Probabilistic
+GOSPA: a metric for performance evaluation of multi-object filters with uncertainties",
+2024; Cuturi, "Sinkhorn distances", NeurIPS, 2013.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack import assign
+from jaxtrack.metrics import assignment
+from jaxtrack.types import Array
+
+Loss = Callable[..., Array]
+
+
+def evidence(estimates: Any, scans: Any) -> Array:
+    """Returns the negative log-evidence per scan, a scalar."""
+    del scans
+    return -estimates.log_evidence.mean()
+
+
+@functools.cache
+def held_out(fraction: float) -> Loss:
+    """Makes the negative log-evidence per scan of the last scans, given the first.
+
+    With windows it is the evidence after the tracks have begun.
+
+    Args:
+        fraction: Share of the scans that count, the last ones.
+
+    Raises:
+        ValueError: It is not above 0 and at most 1.
+    """
+    if not 0 < fraction <= 1:
+        raise ValueError(f"fraction is {fraction}; give a number above 0, at most 1")
+
+    def loss(estimates: Any, scans: Any) -> Array:
+        del scans
+        told = estimates.log_evidence
+        return -told[-math.ceil(fraction * len(told)) :].mean()
+
+    return loss
+
+
+@functools.cache
+def gospa(
+    position_index: tuple[int, ...],
+    cutoff: float,
+    order: float = 2.0,
+    temperature: float = 0.05,
+) -> Loss:
+    """Makes the mean over scans of GOSPA, alpha = 2, of estimates that may exist.
+
+    Args:
+        position_index: Where the positions stand in the state, of estimates and truth.
+        cutoff: c, positive; a pair farther apart is none, and has no slope.
+        order: p, at least 1.
+        temperature: Of the shares, in units of c^p. Near 0 they are an assignment.
+
+    Returns:
+        (estimates, scans, truth) -> scalar; the truth has `state` [T, N, D] and
+        `exists` [T, N], as `scenarios.world.Truth` does.
+
+    Raises:
+        ValueError: A number that makes no sense.
+    """
+    _check(cutoff, order, temperature)
+
+    def scan(place: Array, there: Array, mean: Array, prob: Array) -> Array:
+        paired = _gain(place, there, mean, prob, cutoff, order, temperature)
+        power = (there.sum() + prob.sum()) / 2 - paired
+        return cutoff * assignment.root(power, order)
+
+    return functools.partial(_mean_over_scans, scan, position_index)
+
+
+@functools.cache
+def ospa(
+    position_index: tuple[int, ...],
+    cutoff: float,
+    order: float = 2.0,
+    temperature: float = 0.05,
+) -> Loss:
+    """Makes the mean over scans of OSPA, of estimates that may exist.
+
+    The number of estimates is the expected one. Arguments and errors are those of
+    `gospa`.
+    """
+    _check(cutoff, order, temperature)
+
+    def scan(place: Array, there: Array, mean: Array, prob: Array) -> Array:
+        paired = _gain(place, there, mean, prob, cutoff, order, temperature)
+        larger = jnp.maximum(there.sum(), prob.sum())
+        some = larger > 0
+        power = jnp.where(some, 1 - paired / jnp.where(some, larger, 1.0), 0.0)
+        return cutoff * assignment.root(power, order)
+
+    return functools.partial(_mean_over_scans, scan, position_index)
+
+
+def _mean_over_scans(
+    scan: Callable[..., Array],
+    position_index: tuple[int, ...],
+    estimates: Any,
+    scans: Any,
+    truth: Any,
+) -> Array:
+    del scans
+    index = jnp.array(position_index)
+    each = jax.vmap(scan)(
+        truth.state[..., index],
+        truth.exists,
+        estimates.mean[..., index],
+        estimates.existence_prob,
+    )
+    return each.mean()
+
+
+def _gain(
+    place: Array,
+    there: Array,
+    mean: Array,
+    prob: Array,
+    cutoff: float,
+    order: float,
+    temperature: float,
+) -> Array:
+    """Returns by how much pairs lower what the sets cost apart, in units of c^p.
+
+    A pair of a truth and an estimate of probability r at distance d costs r d^p +
+    (1 - r) c^p / 2 in place of (1 + r) c^p / 2: it gains r (c^p - d^p).
+
+    Args:
+        place: True positions, [N, P].
+        there: [N] (bool).
+        mean: Estimated positions, [L, P].
+        prob: [L].
+        cutoff: c.
+        order: p.
+        temperature: Of the shares, in units of c^p.
+    """
+    distance = assignment.distances(mean, jnp.where(there[:, None], place, 0.0))
+    close = there[None] & (prob > 0)[:, None] & (distance < cutoff)
+    relative = jnp.where(close, distance, 0.0) / cutoff
+    gain = jnp.where(close, prob[:, None] * (1 - relative**order), -jnp.inf)
+    score = jnp.pad(gain, ((0, 0), (0, 1)))
+    share = assign.soft.soft(score, temperature).prob[:, :-1]
+    return (jnp.where(close, share, 0.0) * jnp.where(close, gain, 0.0)).sum()
+
+
+def _check(cutoff: float, order: float, temperature: float) -> None:
+    assignment.check(cutoff, order)
+    if not temperature > 0:
+        raise ValueError(f"temperature is {temperature}; give a number above 0")

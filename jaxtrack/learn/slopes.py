@@ -1,0 +1,167 @@
+"""The loss of many recordings, and its slopes in the free numbers.
+
+`Problem` is what a program depends on, `Data` the arrays that it takes; a fit of other
+recordings of the same shape compiles nothing anew.
+
+    >>> import jax, numpy as np
+    >>> from jaxtrack.learn import slopes
+    >>> data = slopes.gather(np.arange(12.0), truth=None, seed=0, several=False)
+    >>> part = slopes.pick(jax.random.key(0), data, batch=None, window=5)
+    >>> print(part.scans.shape, np.diff(part.scans[0]))
+    (1, 5) [1. 1. 1. 1.]
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtrack import engine
+from jaxtrack.learn import leaves, segments
+from jaxtrack.learn.loss import Loss
+from jaxtrack.types import Array, PyTree, Tracker
+
+
+class Problem(NamedTuple):
+    """What is made small; static.
+
+    Attributes:
+        tracker: The tracker.
+        plan: What of its `Params` is learned.
+        loss: Of `learn.loss`.
+        prior: (params) -> log-density, or None.
+        batch: Recordings of a step, drawn anew for each; None for all.
+        window: Scans of a step, drawn anew for each and each recording; None for all.
+        block: Recordings that are computed side by side.
+        segment: See `segments.run`.
+    """
+
+    tracker: Tracker
+    plan: leaves.Plan
+    loss: Loss
+    prior: Any
+    batch: int | None
+    window: int | None
+    block: int
+    segment: int | None
+
+
+class Data(NamedTuple):
+    """What is learned from.
+
+    Attributes:
+        scans: With a leading R, T.
+        truth: What the loss is told besides, with a leading R, T; or None.
+        keys: A tracker's random key for each recording, the same in every step, so
+            that the loss is a function of the parameters alone; [R].
+    """
+
+    scans: PyTree
+    truth: PyTree
+    keys: Array
+
+
+class Slope(NamedTuple):
+    """A place that a fit came to.
+
+    Attributes:
+        loss: A scalar.
+        free: The free numbers, by path.
+        gradient: Of the loss, by path.
+        values: What the free numbers stand for, by path.
+    """
+
+    loss: Array
+    free: leaves.Free
+    gradient: leaves.Free
+    values: dict[str, Array]
+
+
+def gather(scans: PyTree, truth: PyTree, seed: int, several: bool = True) -> Data:
+    """Puts recordings together; a single one gets a leading axis of 1."""
+    both = scans, truth
+    if not several:
+        both = jax.tree.map(lambda x: jnp.asarray(x)[None], both)
+    scans, truth = jax.tree.map(jnp.asarray, both)
+    number = len(jax.tree.leaves(scans)[0])
+    return Data(scans, truth, engine.run_keys(seed, 0, number))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def slope(
+    problem: Problem, params: PyTree, data: Data, free: leaves.Free, key: Array
+) -> Slope:
+    """Returns loss and slopes at free numbers.
+
+    Args:
+        problem: Static.
+        params: Those at the start.
+        data: Of all recordings.
+        free: Free numbers.
+        key: What batch and windows are drawn with.
+    """
+
+    def value(free: leaves.Free) -> Array:
+        return value_of(problem, params, free, data, key)
+
+    loss, gradient = jax.value_and_grad(value)(free)
+    return Slope(loss, free, gradient, leaves.values_of(problem.plan, params, free))
+
+
+def value_of(
+    problem: Problem, params: PyTree, free: leaves.Free, data: Data, key: Array
+) -> Array:
+    """Returns the mean loss of a step's recordings, less the log-prior per scan."""
+    params = leaves.constrain(problem.plan, params, free)
+    part = pick(key, data, problem.batch, problem.window)
+    each = engine.map_runs(
+        _one,
+        params,
+        part,
+        in_axes=(None, 0),
+        static=(problem.tracker, problem.loss, problem.segment),
+        block=problem.block,
+    )
+    if problem.prior is None:
+        return each.mean()
+    return each.mean() - problem.prior(params) / num_scans(data)
+
+
+def is_noisy(problem: Problem) -> bool:
+    """Returns whether every step has scans of its own."""
+    return problem.batch is not None or problem.window is not None
+
+
+def num_scans(data: Data) -> int:
+    """Returns how many scans there are in all recordings."""
+    return int(np.prod(jax.tree.leaves(data.scans)[0].shape[:2]))
+
+
+def pick(key: Array, data: Data, batch: int | None, window: int | None) -> Data:
+    """Draws the recordings of a step, and where each one's window begins."""
+    batch_key, window_key = jax.random.split(key)
+    if batch is not None:
+        chosen = jax.random.choice(batch_key, len(data.keys), (batch,), replace=False)
+        data = jax.tree.map(lambda x: x[chosen], data)
+    if window is None:
+        return data
+    number, total = jax.tree.leaves(data.scans)[0].shape[:2]
+    first = jax.random.randint(window_key, (number,), 0, total - window + 1)
+
+    def cut(x: Array) -> Array:
+        one = functools.partial(jax.lax.dynamic_slice_in_dim, slice_size=window)
+        return jax.vmap(one)(x, first)
+
+    scans, truth = jax.tree.map(cut, (data.scans, data.truth))
+    return Data(scans, truth, data.keys)
+
+
+def _one(
+    tracker: Tracker, loss: Loss, segment: int | None, params: PyTree, data: Data
+) -> Array:
+    """Returns the loss of one recording."""
+    estimates = segments.run(tracker, params, data.scans, data.keys, segment)
+    told = (data.scans,) if data.truth is None else (data.scans, data.truth)
+    return loss(estimates, *told)

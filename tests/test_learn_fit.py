@@ -1,0 +1,269 @@
+"""Fits, against closed forms and against a plain filter with SciPy's optimiser."""
+
+import functools
+
+import chex
+import jax
+import numpy as np
+import optax
+import pytest
+import scipy.optimize
+from cases import learning
+from cases.learning import SCANS, follower, moving, start, watched, watcher
+from cases.trackers import case_of, random_scans, tracker_of
+
+from jaxtrack import learn
+from jaxtrack.learn import information, sizes, slopes
+from jaxtrack.models import motion, sensor
+
+NEWTON = optax.lbfgs()
+ADAM = optax.adam(0.1)
+FIRST = learning.Line(
+    motion.ConstantVelocity(np.array([2.0])), sensor.Position(np.array([1.0]))
+)
+
+
+def both(p):
+    return p.std, p.mean
+
+
+@functools.cache
+def closed():
+    """A fit of mean and standard deviation of independent numbers."""
+    return learn.fit(watcher, start(), watched(), NEWTON, where=both, num_steps=40)
+
+
+def test_the_best_mean_and_deviation_are_those_of_the_sample():
+    z, found = watched().detections, closed().params
+    # The loss is flat at its least: steps that lower it by 1e-16 are seen no more.
+    np.testing.assert_allclose(found.mean, z.mean(), rtol=1e-6)
+    np.testing.assert_allclose(found.std, z.std(), rtol=1e-6)
+    assert found.factor == 1.0
+    assert closed().stopped == "converged"
+
+
+def test_standard_errors_are_those_of_the_normal_distribution():
+    z, known = watched().detections, closed().information
+    expected = z.std() / np.sqrt(z.size)
+    assert known.names == ["mean", "std"]
+    np.testing.assert_allclose(known.std_error["mean"], expected, rtol=1e-5)
+    np.testing.assert_allclose(known.std_error["std"], expected / 2**0.5, rtol=1e-5)
+    # In log(std) and mean / 0.5, its scale.
+    hessian = np.diag([z.size / z.var() / 4, 2 * z.size])
+    np.testing.assert_allclose(known.hessian, hessian, rtol=1e-5, atol=1e-3)
+
+
+def test_history_begins_at_the_start_and_tells_every_step():
+    told = closed().history
+    assert len(told.loss) == closed().num_steps
+    np.testing.assert_allclose(told.values["mean"][0], 0.5)
+    np.testing.assert_allclose(told.free["std"][:, 0], np.log(told.values["std"]))
+    z = watched().detections
+    first = np.log(2 * np.pi) / 2 + ((z - 0.5) ** 2).mean() / 2
+    np.testing.assert_allclose(told.loss[0], first)
+
+
+def test_what_cannot_be_known_apart_has_an_infinite_error():
+    fit = learn.fit(watcher, start(), watched(), NEWTON, num_steps=40)
+    errors = fit.information.std_error
+    assert errors["std"] == errors["factor"] == np.inf
+    assert np.isfinite(errors["mean"])
+    product = fit.params.std * fit.params.factor
+    np.testing.assert_allclose(product, watched().detections.std(), rtol=1e-6)
+
+
+def test_information_about_nothing_is_told_as_such():
+    hessian = np.diag([4.0, 0.0])
+    np.testing.assert_array_equal(information.std_of(np.eye(2), hessian), [0.5, np.inf])
+
+
+def test_a_prior_pulls_towards_what_it_likes():
+    def prior(p):
+        return -((p.mean - 3.0) ** 2) / 2 / 0.01
+
+    fit = learn.fit(
+        watcher,
+        start(std=0.7),
+        watched(),
+        NEWTON,
+        where=lambda p: p.mean,
+        prior=prior,
+        num_steps=40,
+    )
+    z = watched().detections
+    precision = z.size / 0.49
+    expected = (z.mean() * precision + 3.0 * 100) / (precision + 100)
+    np.testing.assert_allclose(fit.params.mean, expected, rtol=1e-6)
+    error = fit.information.std_error["mean"]
+    np.testing.assert_allclose(error, (precision + 100) ** -0.5, rtol=1e-5)
+
+
+@functools.cache
+def kalman_fit():
+    return learn.fit(follower, FIRST, moving(1), NEWTON, num_steps=60)
+
+
+def test_a_kalman_filter_learns_what_scipy_finds_with_a_plain_one():
+    def total(x):
+        return -learning.log_evidence(moving(1), *np.exp(x))
+
+    found = scipy.optimize.minimize(total, np.log([2.0, 1.0]), tol=1e-10)
+    expected = np.exp(found.x)
+    density, std = (x[0] for x in jax.tree.leaves(kalman_fit().params))
+    np.testing.assert_allclose([density, std], expected, rtol=1e-4)
+    np.testing.assert_allclose(
+        kalman_fit().history.loss.min() * 3 * SCANS, found.fun, rtol=1e-9
+    )
+    # Second differences of the plain filter; errors of the parameters themselves.
+    step = 1e-3 * np.eye(2)
+    hessian = [
+        [
+            total(found.x + a + b)
+            - total(found.x + a - b)
+            - total(found.x - a + b)
+            + total(found.x - a - b)
+            for a in step
+        ]
+        for b in step
+    ]
+    cov = np.linalg.inv(np.array(hessian) / 4e-6)
+    errors = kalman_fit().information.std_error
+    told = [errors["motion.noise_density"][0], errors["sensor.noise_std"][0]]
+    np.testing.assert_allclose(told, expected * np.sqrt(np.diag(cov)), rtol=1e-3)
+
+
+def test_one_recording_needs_no_axis():
+    alone = jax.tree.map(lambda x: x[0], watched())
+    fit = learn.fit(watcher, start(), alone, NEWTON, where=both, num_steps=30)
+    np.testing.assert_allclose(fit.params.mean, alone.detections.mean(), rtol=1e-6)
+
+
+def test_a_fit_that_diverges_says_where_and_returns_the_last_finite_one():
+    wild = optax.sgd(2e3)
+    fit = learn.fit(watcher, start(), watched(), wild, where=both, errors=False)
+    assert fit.stopped == "diverged"
+    assert fit.message == f"diverged at step {fit.num_steps}: std is not finite"
+    chex.assert_tree_all_finite((fit.params, fit.history))
+    np.testing.assert_array_equal(fit.params.mean, fit.history.values["mean"][-1])
+
+    broken = watched()._replace(detections=np.full((3, SCANS, 1, 1), np.nan))
+    fit = learn.fit(watcher, start(), broken, wild, where=both)
+    assert fit.message == "diverged at step 0: the gradient of mean is not finite"
+    assert (fit.params, fit.history) == (start(), None)
+
+
+class Killed(Exception):
+    pass
+
+
+def kill(done, total, value):
+    if done == 4:
+        raise Killed
+
+
+@pytest.mark.parametrize("sizes", [{}, {"batch": 2, "window": 9}])
+def test_a_fit_that_was_killed_goes_on_and_gives_the_same_numbers(tmp_path, sizes):
+    settings = {"where": both, "num_steps": 9, "patience": 3, "errors": False, **sizes}
+    run = functools.partial(learn.fit, watcher, start(), watched(), ADAM, **settings)
+    with pytest.raises(Killed):
+        run(directory=tmp_path, progress=kill)
+    steps = []
+    again = run(directory=tmp_path, progress=lambda *told: steps.append(told[0]))
+    expected = run()
+    assert steps == list(range(5, expected.num_steps + 1))
+    chex.assert_trees_all_equal(again.history, expected.history)
+    chex.assert_trees_all_equal(again.params, expected.params)
+    # Once more nothing is left to do, and more steps may be asked for.
+    assert run(directory=tmp_path, progress=kill).num_steps == expected.num_steps
+    more = run(directory=tmp_path, num_steps=11, patience=None)
+    assert more.num_steps == 11
+
+
+def test_a_directory_holds_one_fit(tmp_path):
+    run = functools.partial(
+        learn.fit, watcher, start(), optimizer=ADAM, where=both, errors=False
+    )
+    run(scans=watched(), num_steps=2, directory=tmp_path)
+    with pytest.raises(ValueError, match="fingerprint of code and values is"):
+        run(scans=watched(seed=1), num_steps=2, directory=tmp_path)
+    with pytest.raises(ValueError, match="seed is 0, not 1"):
+        run(scans=watched(), num_steps=2, directory=tmp_path, seed=1)
+    with pytest.raises(ValueError, match="a fit by another optimiser"):
+        run(scans=watched(), num_steps=2, directory=tmp_path, optimizer=NEWTON)
+
+
+def test_windows_and_batches_are_drawn_evenly():
+    times = np.arange(5 * 8.0).reshape(5, 8)
+    data = slopes.gather(times, None, seed=0)
+    draw = jax.jit(jax.vmap(lambda key: slopes.pick(key, data, 3, 6).scans))
+    found = np.array(draw(jax.random.split(jax.random.key(0), 600)))
+    assert found.shape == (600, 3, 6)
+    assert (np.diff(found) == 1).all()
+    rows, first = found[..., 0] // 8, found[..., 0] % 8
+    assert all(len(set(row)) == 3 for row in rows)
+    # 360 of each row and 600 of each beginning are expected, with deviations of 12
+    # and 20.
+    np.testing.assert_allclose(np.bincount(rows.astype(int).ravel()), 360, atol=60)
+    np.testing.assert_allclose(np.bincount(first.astype(int).ravel()), 600, atol=100)
+
+
+def test_minibatches_come_near_and_return_the_last():
+    settings = {"batch": 2, "window": 10, "num_steps": 150, "patience": None}
+    fit = learn.fit(
+        watcher, start(), watched(), optax.adam(0.02), where=both, **settings
+    )
+    # Half of a standard error at 20 numbers, and what a step of 0.02 leaves.
+    assert abs(fit.params.mean - watched().detections.mean()) < 0.1
+    assert abs(fit.params.std / watched().detections.std() - 1) < 0.1
+    np.testing.assert_array_equal(fit.params.mean, fit.history.values["mean"][-1])
+    whole = closed().information.std_error["mean"]
+    np.testing.assert_allclose(fit.information.std_error["mean"], whole, rtol=0.1)
+
+
+def test_the_same_sizes_compile_nothing_anew():
+    run = functools.partial(learn.fit, watcher, where=both, num_steps=3, errors=False)
+    run(start(), watched(), ADAM)
+    before = slopes.slope._cache_size()
+    run(start(std=2.0), watched(seed=5), ADAM)
+    assert slopes.slope._cache_size() == before
+
+
+def test_jpda_learns_noise_and_detection_among_clutter():
+    name = "jpda"
+    scans = jax.tree.map(
+        lambda *x: np.stack(x), *(random_scans(name, seed) for seed in range(2))
+    )
+    params = case_of(name).params
+    far = params.target.sensor._replace(noise_std=3 * params.target.sensor.noise_std)
+    params = params._replace(target=params.target._replace(sensor=far))
+    fit = learn.fit(
+        tracker_of(name),
+        params,
+        scans,
+        ADAM,
+        where=lambda p: (p.target.sensor, p.target.detect),
+        num_steps=6,
+        errors=False,
+    )
+    assert set(fit.history.values) == {"target.sensor.noise_std", "target.detect.value"}
+    assert fit.history.loss[-1] < fit.history.loss[0] - 0.05
+    assert fit.params.target.sensor.noise_std < 0.7 * far.noise_std
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"batch": 4}, "batch is 4; give a number from 1 to 3"),
+        ({"window": 41}, "window is 41; give a number from 1 to 40"),
+        ({"num_steps": 0}, "num_steps is 0; give at least 1"),
+        ({"truth": np.zeros((3, 7))}, r"truth hold an array of shape \(3, 7\)"),
+    ],
+)
+def test_sizes_that_make_no_sense_are_told(settings, told):
+    with pytest.raises(ValueError, match=told):
+        learn.fit(watcher, start(), watched(), **settings)
+
+
+def test_shapes_of_scans_are_told():
+    with pytest.raises(ValueError, match=r"interval has shape \(\); give \[T\]"):
+        sizes.recordings(jax.tree.map(lambda x: x[0, 0], watched()), None)
