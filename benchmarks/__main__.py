@@ -1,4 +1,8 @@
-"""Runs all benchmarks, each in a process of its own, and keeps their rows."""
+"""Runs all benchmarks, each in a process of its own, and keeps their rows.
+
+`python -m benchmarks kalman imm` runs these two anew and leaves the other rows as they
+are, if they were made on the same machine with the same versions.
+"""
 
 import argparse
 import importlib.metadata
@@ -46,18 +50,38 @@ def run(name: str, quick: bool) -> list[dict[str, Any]]:
         return [{"benchmark": name, **row} for row in json.loads(path.read_text())]
 
 
+def kept() -> list[dict[str, Any]]:
+    """Returns the rows of the last results.
+
+    Raises:
+        ValueError: They were made with something else.
+    """
+    results = json.loads(table.LATEST.read_text())
+    if results["made_with"] != made_with():
+        raise ValueError(
+            f"{table.LATEST} was made on another machine or with other versions; "
+            "run all benchmarks"
+        )
+    return results["rows"]
+
+
 def main() -> None:
     """Runs all and writes `results/latest.json` and the table in README.md."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="tiny sizes; keep nothing")
-    quick = parser.parse_args().quick
-    rows = []
-    for name in ALL:
+    parser.add_argument("names", nargs="*", metavar="name", help="run these only")
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(ALL):
+        parser.error(f"no benchmark is {min(unknown)}; there are {', '.join(ALL)}")
+    quick, names = options.quick, options.names or ALL
+    rows = [] if quick or not options.names else kept()
+    for name in names:
         start = time.monotonic()
         print(f"{name} ...", file=sys.stderr, flush=True)
-        rows += run(name, quick)
+        rows = [row for row in rows if row["benchmark"] != name] + run(name, quick)
         print(f"    {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
     if not quick:
+        rows.sort(key=lambda row: ALL.index(row["benchmark"]))
         results = {"made_with": made_with(), "rows": rows}
         table.LATEST.parent.mkdir(exist_ok=True)
         table.LATEST.write_text(json.dumps(results, indent=1) + "\n")

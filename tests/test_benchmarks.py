@@ -100,3 +100,26 @@ def test_table_is_pasted_between_its_marks(tmp_path, monkeypatch):
     assert text.endswith(f"{table.END}after\n")
     assert "| 1.23 M steps/s | 12.3 x a peer, 0.500 x another |  |" in text
     assert "old" not in text
+
+
+def test_benchmarks_named_are_run_anew_and_the_others_kept(monkeypatch, tmp_path):
+    everything = importlib.import_module("benchmarks.__main__")
+    monkeypatch.setattr(table, "LATEST", tmp_path / "latest.json")
+    monkeypatch.setattr(table, "paste", lambda: None)
+    monkeypatch.setattr(everything, "run", lambda name, quick: [{"benchmark": name}])
+    old = [{"benchmark": name, "old": True} for name in ("kalman", "imm", "growth")]
+    made = {"made_with": everything.made_with(), "rows": old}
+    table.LATEST.write_text(json.dumps(made))
+
+    monkeypatch.setattr("sys.argv", ["benchmarks", "imm"])
+    everything.main()
+    rows = json.loads(table.LATEST.read_text())["rows"]
+    assert rows == [old[0], {"benchmark": "imm"}, old[2]]
+
+    table.LATEST.write_text(json.dumps({**made, "made_with": {"cpu": "another"}}))
+    with pytest.raises(ValueError, match="run all benchmarks"):
+        everything.main()
+
+    monkeypatch.setattr("sys.argv", ["benchmarks", "nothing"])
+    with pytest.raises(SystemExit):
+        everything.main()
