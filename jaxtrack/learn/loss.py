@@ -28,6 +28,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack import assign
 from jaxtrack.metrics import assignment
@@ -129,7 +130,7 @@ def _mean_over_scans(
     truth: Any,
 ) -> Array:
     del scans
-    index = jnp.array(position_index)
+    index = np.array(position_index)
     each = jax.vmap(scan)(
         truth.state[..., index],
         truth.exists,
