@@ -28,6 +28,7 @@ import jax
 import optax
 
 from jaxtrack.learn import (
+    em,
     history,
     information,
     leaves,
@@ -45,6 +46,7 @@ from jaxtrack.types import Array, PyTree, Tracker
 
 __all__ = [
     "Fit",
+    "em",
     "fit",
     "history",
     "information",
