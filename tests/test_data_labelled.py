@@ -1,5 +1,6 @@
 """Estimates and scans in labelled arrays: exact round trips, names, messages."""
 
+import sys
 import types
 
 import numpy as np
@@ -125,3 +126,9 @@ def test_wrong_arrays_and_datasets_get_one_sentence():
         labelled.scans_from_dataset(data)
     with pytest.raises(DataError, match="'mean' has the dimensions .*slot.* rename"):
         labelled.estimates_from_dataset(data.rename(track="slot"))
+
+
+def test_xarray_is_asked_for_by_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(DataError, match=r'need xarray: pip install "jaxtrack\[io\]"'):
+        labelled.scans_to_dataset(some_scans(3), TIME, {"x": "m", "y": "m"})

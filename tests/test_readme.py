@@ -89,7 +89,6 @@ def check_study(name, given):
         cli.follow.check(scenario, names, given["runs"])
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:stonesoup")
 @pytest.mark.parametrize("page", SHOWN, ids=lambda page: page.name)
 def test_python_that_a_page_shows_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
