@@ -10,7 +10,6 @@ from jaxtrack.data import scans, stonesoup
 from jaxtrack.data.errors import DataError
 from jaxtrack.scenarios.world import Truth
 
-
 NOON = datetime.datetime(2020, 6, 30, 12)
 START = "2020-06-30T12:00:00"
 
