@@ -2,6 +2,7 @@
 
 import functools
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from cases import small_scenes as scenes
 from reference import bernoullis
 
 from jaxtrack.models import birth
-from jaxtrack.trackers import glmb, lmb
+from jaxtrack.trackers import glmb, jpda, lmb
 from jaxtrack.types import Scan
 
 NUM, SIZE = 40, 3
@@ -127,6 +128,16 @@ def test_the_others_are_near(name, most, usual):
     if name == "gibbs":
         lost = evidence - estimate.log_evidence
         assert ((lost > -1e-10) & (lost < most)).all()
+
+
+def test_a_miss_that_was_not_drawn_does_not_end_a_target():
+    """Sure targets: the heaviest event alone says nearly all, their misses nothing."""
+    log_score = np.array([[6.0, 1.0, -np.inf, -2.0], [0.5, 7.0, -np.inf, -1.5]])
+    events, weights = np.array([[0, 1]]), np.array([13.0])
+    ratio = jax.jit(jpda.of_events)(log_score, events, weights, False).log_ratio
+    every = jax.jit(jpda.rule("auto", 8, None))(log_score).log_ratio
+    # What is left out has less than 1e-3 of the weight.
+    chex.assert_trees_all_close(ratio, every, rtol=1e-3)
 
 
 def test_births_begin_where_nobody_was_under_labels_of_their_own():

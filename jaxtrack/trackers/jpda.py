@@ -139,12 +139,14 @@ def of_events(
     answer = association.soft(
         log_score, safe_log(prob), mixture.total(log_weight), exact
     )
-    # A miss that is in no event weighs no more than the last that was kept, if events
-    # were ranked; if they were drawn this is a guess.
-    least = jnp.min(jnp.where(log_prob > -jnp.inf, log_prob, 0.0))
+    # A miss that is in no event is still possible: in the heaviest, without the
+    # track's detection, at least.
     none = log_score[:, -1]
     left_out = (prob[:, -1] == 0) & (none > -jnp.inf)
-    bound = jnp.where(left_out, none, 0.0) - least
+    held = jnp.take_along_axis(log_score.T, column, axis=0)  # [E, N]
+    counts = (log_prob > -jnp.inf)[:, None] & left_out[None]
+    without = jnp.where(counts, log_prob[:, None] - held, -jnp.inf).max(0)
+    bound = -jnp.where(left_out, without, 0.0)
     return answer._replace(
         log_ratio=jnp.where(left_out, bound, answer.log_ratio),
         events=association.Events(column, log_prob),
