@@ -11,7 +11,9 @@ death, as in the authors' public program. A truth is one draw, the same in all r
 
 Unlike the paper's filters, those here sum up over many hypotheses, keep no more than so
 many leaves of a tree, and report of the likeliest hypothesis every trajectory that is
-likelier than not, where the paper takes as many as are likeliest together.
+likelier than not, where the paper takes as many as are likeliest together. The GLMB
+filter keeps 100 hypotheses, the paper's up to 2,000; `lmb` sums exactly over the joint
+events of small clusters, `lmb-gibbs` over those that are drawn, as the paper's does.
 
     >>> from jaxtrack.scenarios import xia2019
     >>> xia2019.CUTOFF, xia2019.SWITCH_COST
@@ -32,7 +34,17 @@ from jaxtrack.models.probability import Constant
 from jaxtrack.models.sensor import Position
 from jaxtrack.scenarios.world import Scenario, Truth, World, slots_for
 from jaxtrack.targets import single
-from jaxtrack.trackers import mbm, mht, pmb, pmbm, tmbm, tpmbm, undetected
+from jaxtrack.trackers import (
+    glmb,
+    lmb,
+    mbm,
+    mht,
+    pmb,
+    pmbm,
+    tmbm,
+    tpmbm,
+    undetected,
+)
 from jaxtrack.types import Tracker
 
 SCANS = 81
@@ -42,7 +54,8 @@ BIRTH_RATE = 0.05  # in a scan, at each place
 CUTOFF, SWITCH_COST = 10.0, 2.0  # m
 STEP = np.kron(np.eye(2), [[1.0, 1.0], [0.0, 1.0]])
 NOISE = NOISE_DENSITY * np.kron(np.eye(2), [[1 / 3, 1 / 2], [1 / 2, 1.0]])
-BERNOULLI = "mbm", "mbm01", "tmbm", "tmbm01"  # their births
+# Their births.
+BERNOULLI = "mbm", "mbm01", "tmbm", "tmbm01", "glmb", "lmb", "lmb-gibbs"
 
 
 def make(
@@ -109,6 +122,9 @@ def trackers(max_tracks: int, max_leaves: int, max_begun: int) -> dict[str, Trac
         "tpmbm": tpmbm.tpmbm(target, max_undetected=8, max_begun=max_begun, **paper),
         "tmbm": tmbm.tmbm(target, **paper),
         "tmbm01": tmbm.tmbm(target, **certain),
+        "glmb": glmb.glmb(target, **room),
+        "lmb": lmb.lmb(target, max_tracks=max_tracks),
+        "lmb-gibbs": lmb.lmb(target, method="gibbs", max_tracks=max_tracks),
         "pmbm": pmbm.pmbm(target, max_undetected=8, **few),
         "mbm": mbm.mbm(target, **few),
         "mbm01": mbm.mbm01(target, **room),
