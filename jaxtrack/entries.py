@@ -262,14 +262,19 @@ def _remembered(array: Array, matrix: Matrix) -> Array:
     """Returns an array, of which `split` and `column` will know the entries.
 
     One function joins what the next takes apart, and XLA on CPU does not always see
-    through: it would copy whole matrices between the two, and forget what is zero.
+    through: it would copy whole matrices between the two. What was known is an array
+    among these entries, so that two of them are the same pytree.
     """
     shape, dtype = matrix.shape[:-2], matrix.dtype
-    unknown = [x for row in matrix.rows for x in row if _number(x) is None]
-    same = all((jnp.shape(x), x.dtype) == (shape, dtype) for x in unknown)
+
+    def entry(value: Entry) -> Array:
+        return jnp.full(shape, value, dtype) if _number(value) is not None else value
+
+    every = Matrix(map(entry, row) for row in matrix.rows)
+    same = all((jnp.shape(x), x.dtype) == (shape, dtype) for r in every.rows for x in r)
     if same and isinstance(array, Tracer):
         key = id(array)
-        _MADE[key] = weakref.ref(array, lambda _: _MADE.pop(key, None)), matrix
+        _MADE[key] = weakref.ref(array, lambda _: _MADE.pop(key, None)), every
     return array
 
 
