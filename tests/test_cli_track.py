@@ -103,6 +103,24 @@ def test_track_writes_tracks_a_picture_and_scores(call, tmp_path):
     assert (tmp_path / "out" / "tracks.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
+def test_a_tracker_of_trajectories_tells_afterwards_where_targets_were(call, tmp_path):
+    result = call(
+        write(tmp_path / "a.csv"), "--truth-column", "ship", "--tracker", "tpmbm"
+    )
+    assert result.exit_code == 0, result.output
+    assert "Smoothed: IDF1" in result.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    online, later = summary["scores"], summary["smoothed_scores"]
+    assert later["num_missed"] < online["num_missed"]  # the first scans are known now
+    assert later["num_switches"] == 0
+    tracks = pd.read_csv(tmp_path / "out" / "tracks.csv")
+    smoothed = pd.read_csv(tmp_path / "out" / "smoothed.csv")
+    assert list(smoothed) == list(tracks)
+    assert set(smoothed["label"]) == set(tracks["label"])
+    assert len(smoothed) > len(tracks)
+
+
 def test_without_a_truth_column_nothing_is_scored(call, tmp_path):
     result = call(write(tmp_path / "a.csv"))
     assert result.exit_code == 0, result.output

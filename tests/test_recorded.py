@@ -274,6 +274,16 @@ def test_settings_reach_the_tracker_of_hypotheses():
     assert made.gating.prob == 0.9
 
 
+def test_settings_reach_the_tracker_of_trajectories():
+    chosen = settings.Algorithm(
+        name="tpmbm", max_tracks=7, gate_prob=0.9, num_scans=3, max_leaves=5, lag=2
+    )
+    made = tracking.algorithm(chosen, imm.imm()).step.args[0]
+    assert (made.num_scans, made.max_leaves, made.delay) == (3, 5, 5)
+    assert (made.thinning.max_tracks, made.gating.prob) == (7, 0.9)
+    assert made.bernoulli
+
+
 def test_settings_reach_the_tracker_of_mixtures():
     chosen = settings.Algorithm(
         name="pmbm",
@@ -306,7 +316,7 @@ def test_settings_reach_the_tracker_of_labels():
     assert (made.exist_threshold, made.gating.prob) == (1e-2, 0.9)
 
 
-FOLLOWERS = {"cbmember", "lmb", "mht", "pmbm"}
+FOLLOWERS = {"cbmember", "lmb", "mht", "pmbm", "tpmbm"}
 
 
 @pytest.mark.parametrize("name", sorted({*settings.ALGORITHMS} - FOLLOWERS))

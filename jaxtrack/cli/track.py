@@ -53,7 +53,8 @@ def track(
 ) -> None:
     """Track recorded detections.
 
-    Writes tracks.csv, tracks.png and summary.json.
+    Writes tracks.csv, tracks.png and summary.json; where the tracker tells afterwards
+    where targets have been, smoothed.csv, which is what is drawn then.
     """
     if (file is None) != harbour:
         common.fail("give either a FILE, or --harbour for the file that ships with it")
@@ -75,16 +76,20 @@ def track(
             files.further_column(table, truth_column)
         common.writable(out)
         result = tracking.track(table, chosen)
-        scores = truth_column and scoring.score(result, table, truth_column)
-    summary = summarise(file, table, result)
-    if scores and truth_column:
-        part = scoring.summary(scores, result.settings.score)
-        summary["scores"] = {"truth_column": truth_column, **part}
-        typer.echo(sentence(part))
-    write(out, table, result, summary, truth_column)
+        later = tracking.smoothed(result)
+        every = {"scores": result, "smoothed_scores": later}
+        summary = summarise(file, table, result)
+        for name, told in every.items():
+            if truth_column is None or told is None:
+                continue
+            scores = scoring.score(told, table, truth_column)
+            part = scoring.summary(scores, result.settings.score)
+            summary[name] = {"truth_column": truth_column, **part}
+            typer.echo(("" if told is result else "Smoothed: ") + sentence(part))
+    names = write(out, table, result, summary, truth_column)
     warn(summary)
     warn_limits(table, result.settings)
-    typer.echo(f"Wrote tracks.csv, tracks.png, summary.json in {out}.")
+    typer.echo(f"Wrote {', '.join(names)} in {out}.")
 
 
 def read(file: Any, settings: "Settings") -> "Table":
@@ -125,24 +130,28 @@ def write(
     result: "Result",
     summary: dict[str, Any],
     truth_column: str | None,
-) -> None:
-    """Writes the tracks, the picture and the summary."""
+) -> list[str]:
+    """Writes the tracks, the picture and the summary; returns the files' names."""
     from jaxtrack.data import files, tables
-    from jaxtrack.recorded import picture
+    from jaxtrack.recorded import picture, tracking
 
-    motion = result.motion
+    motion, later = result.motion, tracking.smoothed(result)
     index = motion.position_index, motion.velocity_index
     place = table.origin, table.start
-    tracks = tables.tracks_table(result.scans.time, result.estimates, *index, *place)
-    tables.write_tracks(out / "tracks.csv", tracks)
+    every = {"tracks.csv": result} | ({"smoothed.csv": later} if later else {})
+    for name, told in every.items():
+        tracks = tables.tracks_table(told.scans.time, told.estimates, *index, *place)
+        tables.write_tracks(out / name, tracks)
     truth = None
     if truth_column is not None:
         truth = files.further_column(table, truth_column)
-    title = f"{summary['file']}: {summary['tracks']} tracks"
-    figure = picture.chart(result, table, truth, title)
+    kind = "smoothed tracks" if later else "tracks"
+    title = f"{summary['file']}: {summary['tracks']} {kind}"
+    figure = picture.chart(later or result, table, truth, title)
     figure.savefig(out / "tracks.png", dpi=150)
     text = json.dumps(summary, indent=2, allow_nan=False)
     (out / "summary.json").write_text(text + "\n")
+    return [*every, "tracks.png", "summary.json"]
 
 
 def sentence(scores: dict[str, Any]) -> str:

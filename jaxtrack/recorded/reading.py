@@ -52,7 +52,7 @@ _BOUNDS = {
     **dict.fromkeys(
         ("confirm_hits", "confirm_scans", "drop_misses", "drop_scans"), _WINDOW
     ),
-    "num_scans": _Bound("0 or more", lambda x: x >= 0),
+    **dict.fromkeys(("num_scans", "lag"), _Bound("0 or more", lambda x: x >= 0)),
     "gate_prob": _Bound("a probability above 0", lambda x: 0 < x <= 1),
     "name": _Bound(f"one of {', '.join(ALGORITHMS)}", lambda x: x in ALGORITHMS),
 }

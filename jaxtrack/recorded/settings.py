@@ -15,7 +15,7 @@ from jaxtrack.data.errors import DataError
 
 ALGORITHMS = (
     *("cbmember", "nearest", "gnn", "pda", "ipda", "jpda", "jipda"),
-    *("lmb", "mht", "pmbm"),
+    *("lmb", "mht", "pmbm", "tpmbm"),
     *("jpda-star", "set-jpda"),  # only for a few targets
 )
 
@@ -112,10 +112,11 @@ class Algorithm(NamedTuple):
             detections, see `trackers.management.MofN`.
         confirm_prob, drop_prob: Of those that weigh existence, see
             `trackers.management.Existence`.
-        num_scans, max_leaves, leaf_threshold: Of `trackers.mht`, which see; the last is
-            its `prune_threshold`.
+        num_scans, max_leaves, leaf_threshold: Of `trackers.mht` and `trackers.tpmbm`,
+            which see; the last is their `prune_threshold`.
         max_hypotheses: Of `trackers.pmbm`, which has `max_leaves`, too; there
             `leaf_threshold` is for hypotheses and `prune_threshold` for tracks.
+        lag: Of `trackers.tpmbm`.
     """
 
     name: str = "cbmember"
@@ -138,6 +139,7 @@ class Algorithm(NamedTuple):
     max_leaves: int = 6
     leaf_threshold: float = 1e-5
     max_hypotheses: int = 50
+    lag: int = 3
 
 
 class Score(NamedTuple):

@@ -53,6 +53,8 @@ from jaxtrack.trackers import (
     pmbm,
     set_jpda,
     single_scan,
+    tpmbm,
+    trajectories,
     undetected,
 )
 from jaxtrack.types import Target, Tracker
@@ -71,6 +73,7 @@ FAMILIES: dict[str, Any] = {
     "lmb": undetected,
     "mht": undetected,
     "pmbm": undetected,
+    "tpmbm": undetected,
 }
 
 
@@ -137,6 +140,23 @@ def track(table: Table, settings: Settings | None = None, seed: int = 0) -> Resu
     )
 
 
+def smoothed(result: Result) -> Result | None:
+    """Returns what is known afterwards, or None where a tracker does not tell.
+
+    Args:
+        result: From `track`.
+
+    Returns:
+        The same with `trajectories.Latest` for estimates: the whole trajectories, of
+        which the last scans are as uncertain as they were.
+    """
+    paths = getattr(result.estimates, "paths", None)
+    if paths is None:
+        return None
+    latest = jax.jit(trajectories.latest)(paths)
+    return result._replace(estimates=jax.tree.map(np.asarray, latest))
+
+
 def group(table: Table, settings: Settings) -> grouping.Scans:
     """Groups a table into scans; those of a fixed length keep the detections' ages."""
     period, size = settings.scans
@@ -195,7 +215,7 @@ def algorithm(chosen: Algorithm, target: Target) -> Tracker:
         return cbmember.cbmember(
             target, **{name: given[name] for name in own if name in given}
         )
-    if chosen.name in ("lmb", "mht", "pmbm"):
+    if FAMILIES.get(chosen.name) is undetected:
         return _follower(chosen, target)
     choices = options.Options(
         max_tracks=known(chosen.max_tracks),
@@ -227,17 +247,19 @@ def _follower(chosen: Algorithm, target: Target) -> Tracker:
             estimator="heaviest",
             report_threshold=chosen.report_threshold,
         )
-    if chosen.name == "mht":
-        return mht.mht(
-            target,
-            num_scans=chosen.num_scans,
-            max_hypotheses=8,
-            max_tracks=known(chosen.max_tracks),
-            max_leaves=chosen.max_leaves,
-            gate_prob=chosen.gate_prob,
-            prune_threshold=chosen.leaf_threshold,
-            report_threshold=chosen.report_threshold,
-        )
+    if chosen.name in ("mht", "tpmbm"):
+        multiscan: dict[str, Any] = {
+            "num_scans": chosen.num_scans,
+            "max_hypotheses": 8,
+            "max_tracks": known(chosen.max_tracks),
+            "max_leaves": chosen.max_leaves,
+            "gate_prob": chosen.gate_prob,
+            "prune_threshold": chosen.leaf_threshold,
+            "report_threshold": chosen.report_threshold,
+        }
+        if chosen.name == "mht":
+            return mht.mht(target, **multiscan)
+        return tpmbm.tpmbm(target, lag=chosen.lag, **multiscan)
     return pmbm.pmbm(
         target,
         max_hypotheses=chosen.max_hypotheses,

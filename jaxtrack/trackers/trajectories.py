@@ -124,6 +124,46 @@ def paths(
     return Paths(moments.mean, moments.cov, before, prob, alive, trees.label)
 
 
+class Latest(NamedTuple):
+    """What was last said of each of T scans, of the N tracks that were kept then.
+
+    Attributes:
+        label: [T, N] (int), -1 where there is nothing.
+        mean: Smoothed, [T, N, D].
+        cov: [T, N, D, D].
+        exists: [T, N] (bool).
+        existence_prob: That the target was there, if the best hypothesis is true,
+            [T, N].
+    """
+
+    label: Array
+    mean: Array
+    cov: Array
+    exists: Array
+    existence_prob: Array
+
+
+def latest(reported: Paths, now: Array | int | None = None) -> Latest:
+    """Picks what is known of every scan after a scan.
+
+    Args:
+        reported: Of T scans, [T, N, W, ...].
+        now: After which scan, the last if None; later ones are empty.
+    """
+    num_scans, _, size = reported.alive.shape[:3]
+    now = jnp.asarray(num_scans - 1 if now is None else now)
+    scan = jnp.arange(num_scans)
+    told = jnp.minimum(scan + size - 1, now)  # when a scan was last reported
+    at = jnp.clip(scan - told + size - 1, 0, size - 1)
+    mean, cov, alive, prob = (
+        x[told, :, at]
+        for x in (reported.mean, reported.cov, reported.alive, reported.alive_prob)
+    )
+    alive = alive & (scan <= now)[:, None]
+    label = jnp.where(alive, reported.label[told], -1)
+    return Latest(label, mean, cov, alive, prob)
+
+
 def assemble(
     reported: Paths, max_trajectories: int, now: Array | int | None = None
 ) -> Trajectories:
@@ -138,21 +178,13 @@ def assemble(
         The `Trajectories`, in the order in which they began; those of scans after it
         are not there.
     """
-    num_scans, _, size = reported.alive.shape[:3]
-    now = jnp.asarray(num_scans - 1 if now is None else now)
-    scan = jnp.arange(num_scans)
-    told = jnp.minimum(scan + size - 1, now)  # when a scan was last reported
-    at = jnp.clip(scan - told + size - 1, 0, size - 1)
-    past = (scan <= now)[:, None]
-    alive = reported.alive[told, :, at] & past  # [T, N]
-    label = jnp.where(alive, reported.label[told], -1)
+    label, mean, _, alive, _ = latest(reported, now)
     high = jnp.iinfo(label.dtype).max
     listed = jnp.where(label >= 0, label, high)
     found = jnp.unique(listed, size=max_trajectories + 1, fill_value=high)
     mine = (label[:, None] == found[None, :-1, None]) & alive[:, None]  # [T, M, N]
     slot = jnp.argmax(mine, axis=2)
     here = mine.any(2)
-    mean = reported.mean[told, :, at]
     mean = jnp.take_along_axis(mean, slot[:, :, None], axis=1)
     kept = jnp.where(found[:-1] < high, found[:-1], -1)
     first = jnp.sort(listed.ravel())
