@@ -16,6 +16,8 @@ from jaxtrack import learn
 from jaxtrack.learn import information, sizes, slopes
 from jaxtrack.models import motion, sensor
 
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
 NEWTON = optax.lbfgs()
 ADAM = optax.adam(0.1)
 FIRST = learning.Line(
@@ -30,7 +32,9 @@ def both(p):
 @functools.cache
 def closed():
     """A fit of mean and standard deviation of independent numbers."""
-    return learn.fit(watcher, start(), watched(), NEWTON, where=both, num_steps=40)
+    return learn.fit(
+        watcher, start(), watched(), NEWTON, where=both, num_steps=40, patience=5
+    )
 
 
 def test_the_best_mean_and_deviation_are_those_of_the_sample():

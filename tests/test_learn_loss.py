@@ -15,6 +15,7 @@ from jaxtrack.learn import loss, segments
 from jaxtrack.metrics.gospa import gospa
 from jaxtrack.metrics.ospa import ospa
 from jaxtrack.models import motion, sensor
+from jaxtrack.types import Scan
 
 SCANS, TRUE, TOLD, CUTOFF, ORDER = 6, 3, 4, 10.0, 2.0
 INDEX = (0, 2)
@@ -166,7 +167,22 @@ PARAMS = learning.Line(
 )
 
 
-@pytest.mark.parametrize("segment", [10, 12, 40, None])
+def test_segments_bound_the_memory_of_a_gradient():
+    many = 10_000
+    scans = Scan(np.zeros((many, 1, 1)), np.ones((many, 1), bool), np.ones(many))
+
+    def size(segment):
+        def total(params):
+            told = segments.run(learning.follower, params, scans, np.zeros(0), segment)
+            return told.log_evidence.sum()
+
+        program = jax.jit(jax.grad(total)).lower(PARAMS).compile()
+        return program.memory_analysis().temp_size_in_bytes
+
+    assert size(100) < size(None) / 5
+
+
+@pytest.mark.parametrize("segment", [1, 12, 40, None])
 def test_segments_change_neither_values_nor_slopes(segment):
     scans = jax.tree.map(lambda x: x[0], learning.moving(0))
     key = np.zeros(0)

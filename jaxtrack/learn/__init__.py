@@ -123,13 +123,13 @@ def fit(
     truth: PyTree = None,
     prior: Callable[[Any], Array] | None = None,
     num_steps: int = 300,
-    patience: int | None = 20,
+    patience: int | None = 50,
     tolerance: float = 1e-6,
     batch: int | None = None,
     window: int | None = None,
     seed: int = 0,
     block: int = 16,
-    segment: int | None = None,
+    segment: int | None = 1,
     errors: bool = True,
     directory: str | os.PathLike[str] | None = None,
     progress: loop.Progress | None = None,
@@ -153,7 +153,8 @@ def fit(
             maximum a posteriori.
         num_steps: Steps at most.
         patience: It has converged when so many steps did not lower the loss by
-            `tolerance`; None for never.
+            `tolerance`; None for never. Adam
+            overshoots, for more steps the smaller they are.
         tolerance: See `patience`; in units of the loss, which is per scan.
         batch: Recordings drawn anew for each step; by default all.
         window: Consecutive scans of each that are drawn anew for each step, at whose
@@ -161,7 +162,8 @@ def fit(
         seed: Of what is drawn, and of the trackers that draw: recording r has the same
             key in every step.
         block: Recordings that are computed side by side, see `engine.map_runs`.
-        segment: To save memory in long recordings, see `segments.run`.
+        segment: Scans of which the way back begins with the state alone, which saves
+            memory, and time too; see `segments.run`. None keeps all.
         errors: Whether to measure standard errors, by two gradients of all scans for
             each number that is learned.
         directory: Where the fit is kept; run again, it goes on and gives the same
