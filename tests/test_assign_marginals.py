@@ -54,6 +54,23 @@ def test_exact_equals_enumeration(shape):
     assert (found.num_iterations == 0).all()
 
 
+def test_slopes_of_many_are_those_of_each():
+    """Also of the sum over many, which a fit to many recordings takes."""
+    log_score = draw((2, 2), 6)
+    weight = np.random.default_rng(0).normal(size=(2, 3))
+
+    def one(log_score):
+        return (exact.exact(log_score).prob * weight).sum()
+
+    def both(log_score):
+        total = jax.grad(lambda x: jax.vmap(one)(x).sum())
+        return total(log_score), jax.vmap(jax.grad(one))(log_score)
+
+    found, expected = jax.jit(both)(log_score)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
 def blocks(rng, sizes, num_detections):
     """Tracks in clusters of these sizes, mixed up, each with detections of its own."""
     num = sum(sizes)

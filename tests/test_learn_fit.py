@@ -232,6 +232,7 @@ def test_the_same_sizes_compile_nothing_anew():
     assert slopes.slope._cache_size() == before
 
 
+@pytest.mark.slow
 def test_jpda_learns_noise_and_detection_among_clutter():
     name = "jpda"
     scans = jax.tree.map(

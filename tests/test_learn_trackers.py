@@ -12,7 +12,7 @@ from cases.trackers import CASES, SCANS, case_of, random_scans, tracker_of
 
 from jaxtrack.learn import leaves, loss, slopes
 
-# JPDA is among the quick tests of fits.
+# It compiles quickly.
 FEW = {"cbmember_single"}
 
 
