@@ -2,14 +2,17 @@
 
 import collections
 import functools
-from typing import Annotated, Any, NamedTuple
+import importlib
+import inspect
+import pkgutil
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import jax
 import numpy as np
 import pytest
 from cases.trackers import CASES, array, case_of, two_mode_params, value
 
-from jaxtrack import learn
+from jaxtrack import learn, models
 from jaxtrack.constraints import Covariance, Fixed, Positive, below, of
 from jaxtrack.learn import leaves
 from jaxtrack.models import clutter, probability, sensor
@@ -198,3 +201,26 @@ BOX = clutter.UniformClutter(value(1.5), array(-5.0), array(5.0))
 def test_bad_values_and_choices_are_told_in_a_sentence(params, where, told):
     with pytest.raises(ValueError, match=told):
         learn.unconstrain(params, where)
+
+
+def test_only_what_may_be_any_number_is_declared_without_constraint():
+    free = set()
+    for info in pkgutil.iter_modules(models.__path__, f"{models.__name__}."):
+        module = importlib.import_module(info.name)
+        for name, model in inspect.getmembers(module, inspect.isclass):
+            if model.__module__ == info.name and hasattr(model, "_fields"):
+                hints = get_type_hints(model, include_extras=True)
+                free |= {f"{name}.{field}" for field in hints if hints[field] is Array}
+    assert free == {
+        "CoordinatedTurn.turn_rate",
+        "InsideDisc.centre",
+        "KnownAcceleration.acceleration",
+    }
+
+
+def test_keys_and_numbers_alone_are_no_trouble():
+    key = jax.random.key(0)
+    free, constrain = learn.unconstrain((2.5, key, np.array([True])))
+    assert set(free) == {"[0]"}
+    np.testing.assert_allclose(constrain({"[0]": array(2.0)})[0], 5.0)
+    assert set(learn.unconstrain(value(3.0))[0]) == {"params"}
