@@ -15,6 +15,7 @@ from cases.trackers import case_of, random_scans, tracker_of
 from jaxtrack import learn
 from jaxtrack.learn import information, sizes, slopes
 from jaxtrack.models import motion, sensor
+from jaxtrack.types import Scans
 
 pytestmark = pytest.mark.usefixtures("whole_matrices")
 
@@ -79,6 +80,20 @@ def test_what_cannot_be_known_apart_has_an_infinite_error():
 def test_information_about_nothing_is_told_as_such():
     hessian = np.diag([4.0, 0.0])
     np.testing.assert_array_equal(information.std_of(np.eye(2), hessian), [0.5, np.inf])
+    np.testing.assert_array_equal(
+        information.cov_of(hessian), [[0.25, 0.0], [0.0, np.inf]]
+    )
+
+
+def test_the_covariance_is_the_inverse_whatever_the_units():
+    root = np.random.default_rng(0).normal(size=(4, 4)) * [1e3, 1.0, 1.0, 1e-3]
+    hessian = root.T @ root
+    np.testing.assert_allclose(
+        information.cov_of(hessian), np.linalg.inv(hessian), rtol=1e-8
+    )
+    row = np.array([[1e3, -2.0, 0.5, 1e-3]])
+    expected = np.sqrt((row @ np.linalg.inv(hessian) @ row.T)[0])
+    np.testing.assert_allclose(information.std_of(row, hessian), expected, rtol=1e-8)
 
 
 def test_a_prior_pulls_towards_what_it_likes():
@@ -267,6 +282,11 @@ def test_jpda_learns_noise_and_detection_among_clutter():
 def test_sizes_that_make_no_sense_are_told(settings, told):
     with pytest.raises(ValueError, match=told):
         learn.fit(watcher, start(), watched(), **settings)
+
+
+def test_scans_of_several_sensors_are_counted_by_the_first():
+    every = Scans((watched(), watched()), np.ones((3, SCANS, 2), bool))
+    assert sizes.recordings(every, None) == (True, 3, SCANS)
 
 
 def test_shapes_of_scans_are_told():

@@ -93,6 +93,12 @@ TABLE = {
         supports.Bounds(high=0.4),
     ),
     "simplex": Row("simplex", MATRIX, np.array([-0.5, -1.0, -0.3]), rows),
+    "simplex of rounded numbers": Row(
+        "simplex",
+        np.array([0.333333, 0.333333, 0.333333]),
+        np.array([-0.5, -1.0]),
+        lambda x: 0.999999 * softmax(np.array([0.0, *x])),
+    ),
     "jumps": Row(
         "jumps",
         np.array([[0.3, 0.6, 0.4], [1.0, 0.0, 0.0], [0.0, 1.0, 0.9]]),

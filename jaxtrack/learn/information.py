@@ -33,11 +33,14 @@ class Information(NamedTuple):
     Attributes:
         names: The entry that each stands at, [n].
         hessian: The observed information, [n, n].
+        cov: Covariance of the free numbers, its inverse, [n, n]; what there is no
+            information about has an infinite variance, and counts as independent.
         std_error: Of the learned arrays by path; 0 where an entry does not move.
     """
 
     names: list[str]
     hessian: np.ndarray
+    cov: np.ndarray
     std_error: dict[str, np.ndarray]
 
 
@@ -77,7 +80,8 @@ def observed(
         ).reshape(rows.shape[:-1])
         for name, rows in rate.items()
     }
-    return Information(leaves.entries(problem.plan, params), hessian, std_error)
+    names = leaves.entries(problem.plan, params)
+    return Information(names, hessian, cov_of(hessian, tolerance), std_error)
 
 
 def std_of(
@@ -93,14 +97,35 @@ def std_of(
     Returns:
         [E]; infinite for what depends on something that there is no information about.
     """
-    alone = np.sqrt(np.maximum(np.diag(hessian), 0.0))
-    scale = np.where(alone > 0, alone, 1.0)
-    value, vector = np.linalg.eigh(hessian / np.outer(scale, scale))
-    square = (rows / scale @ vector) ** 2
+    value, vector = _axes(hessian)
+    square = (rows @ vector) ** 2
     known = value > tolerance
     unknown = (square > tolerance * square.sum(1, keepdims=True)) & ~known
     variance = np.where(known, square / np.where(known, value, 1.0), 0.0).sum(1)
     return np.where(unknown.any(1), np.inf, np.sqrt(variance))
+
+
+def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:
+    """Returns the covariance of the free numbers, see `Information`."""
+    value, vector = _axes(hessian)
+    known = value > tolerance
+    cov = (vector * np.where(known, 1 / np.where(known, value, 1.0), 0.0)) @ vector.T
+    std = std_of(np.eye(len(hessian)), hessian, tolerance)
+    apart = np.isinf(std)
+    cov[apart] = cov[:, apart] = 0.0
+    cov[apart, apart] = np.inf
+    return cov
+
+
+def _axes(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the information along axes [n] and these, the columns of [n, n].
+
+    Axes of numbers scaled so that each alone has an information of 1.
+    """
+    alone = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    scale = np.where(alone > 0, alone, 1.0)
+    value, vector = np.linalg.eigh(hessian / np.outer(scale, scale))
+    return value, vector / scale[:, None]
 
 
 @functools.partial(jax.jit, static_argnums=0)
