@@ -13,7 +13,8 @@ from cases.learning import SCANS, follower, moving, start, watched, watcher
 from cases.trackers import case_of, random_scans, tracker_of
 
 from jaxtrack import learn
-from jaxtrack.learn import information, sizes, slopes
+from jaxtrack.learn import information, leaves, sizes, slopes
+from jaxtrack.learn.loss import evidence
 from jaxtrack.models import motion, sensor
 from jaxtrack.types import Scans
 
@@ -75,6 +76,19 @@ def test_what_cannot_be_known_apart_has_an_infinite_error():
     assert np.isfinite(errors["mean"])
     product = fit.params.std * fit.params.factor
     np.testing.assert_allclose(product, watched().detections.std(), rtol=1e-6)
+
+
+def test_all_scans_count_for_the_information_of_minibatches():
+    problem = slopes.Problem(
+        watcher, leaves.plan(start(), both), evidence, None, 2, 9, 16, 1
+    )
+    told = closed().history
+    free = {name: x[told.loss.argmin()] for name, x in told.free.items()}
+    data = slopes.gather(watched(), None, 0)
+    found = information.observed(problem, start(), data, free)
+    expected = closed().information.hessian
+    # Differences of slopes divide their rounding by steps of 1e-5.
+    np.testing.assert_allclose(found.hessian, expected, rtol=1e-9, atol=1e-5)
 
 
 def test_information_about_nothing_is_told_as_such():
