@@ -208,7 +208,7 @@ def symmetric(entry: Callable[[int, int], Entry], size: int) -> Matrix:
 
 def split(array: Array) -> Matrix:
     """Returns the entries of an array [R, C], of many [N, R, C] each an array [N]."""
-    made = _made(array)
+    made = _made(array, jnp.shape(array))
     # Row by row, as `dense` joins them: XLA then sees through the one and the other.
     return made or Matrix(map(scalars, apart(array, -2)))
 
@@ -229,7 +229,8 @@ def apart(array: Array, axis: int) -> list[Array]:
 
 def column(array: Array) -> Matrix:
     """Returns the entries of an array [N], one below the other."""
-    return _made(array) or Matrix([x] for x in scalars(array))
+    made = _made(array, (*jnp.shape(array), 1))
+    return made or Matrix([x] for x in scalars(array))
 
 
 def flat(matrix: Matrix | Array) -> Array:
@@ -270,18 +271,23 @@ def _remembered(array: Array, matrix: Matrix) -> Array:
     def entry(value: Entry) -> Array:
         return jnp.full(shape, value, dtype) if _number(value) is not None else value
 
+    def same(entry: Array) -> bool:
+        strong = not getattr(entry, "weak_type", False)
+        return strong and (jnp.shape(entry), entry.dtype) == (shape, dtype)
+
     every = Matrix(map(entry, row) for row in matrix.rows)
-    same = all((jnp.shape(x), x.dtype) == (shape, dtype) for r in every.rows for x in r)
-    if same and isinstance(array, Tracer):
+    if isinstance(array, Tracer) and all(same(x) for row in every.rows for x in row):
         key = id(array)
         _MADE[key] = weakref.ref(array, lambda _: _MADE.pop(key, None)), every
     return array
 
 
-def _made(array: Array) -> Matrix | None:
-    """Returns the entries that an array was made of, if it was and they are known."""
+def _made(array: Array, shape: tuple[int, ...]) -> Matrix | None:
+    """Returns the entries that an array was made of, if they have that shape."""
     where, matrix = _MADE.get(id(array), (None, None))
-    return matrix if where is not None and where() is array else None
+    if matrix is None or where is None or where() is not array:
+        return None
+    return matrix if matrix.shape == shape else None
 
 
 def arrays(tree: PyTree) -> PyTree:

@@ -142,6 +142,32 @@ def test_what_was_joined_is_not_taken_apart_again():
     chex.assert_trees_all_close(entries.dense(product), square, rtol=1e-14)
 
 
+@pytest.mark.parametrize("take", [entries.split, entries.column])
+@pytest.mark.parametrize("join", [entries.dense, entries.flat])
+def test_traced_or_not_the_entries_are_the_same(join, take):
+    """Also where one function joined rows and the other takes columns apart."""
+
+    def both(x):
+        tall = Matrix([[x], [2.0 * x], [0]])
+        return entries.dense(take(join(tall)))
+
+    x = np.arange(4.0)
+    if (join, take) == (entries.flat, entries.split):
+        expected = np.stack([x, 2 * x, 0 * x], 1)  # of a vector each, a row
+    else:
+        expected = both(x)
+    chex.assert_trees_all_close(jax.jit(both)(x), expected, rtol=1e-15)
+
+
+def test_numbers_of_python_have_the_type_of_the_array():
+    """Where float64 is the default, as here."""
+
+    def half(x):
+        return entries.split(entries.dense(Matrix([[x, 0]]))).rows[0][0] * np.float32(2)
+
+    assert jax.jit(half)(0.5).dtype == half(0.5).dtype == np.float64
+
+
 def test_nothing_is_remembered_of_a_program_that_is_traced():
     jax.jit(lambda x: entries.dense(sample(x)[0]))(0.3)
     gc.collect()
