@@ -148,10 +148,11 @@ def latest(reported: Paths, now: Array | int | None = None) -> Latest:
 
     Args:
         reported: Of T scans, [T, N, W, ...].
-        now: After which scan, the last if None; later ones are empty.
+        now: After which scan, the last if None or beyond; later ones are empty.
     """
     num_scans, _, size = reported.alive.shape[:3]
-    now = jnp.asarray(num_scans - 1 if now is None else now)
+    last = num_scans - 1
+    now = jnp.clip(last if now is None else now, 0, last)
     scan = jnp.arange(num_scans)
     told = jnp.minimum(scan + size - 1, now)  # when a scan was last reported
     at = jnp.clip(scan - told + size - 1, 0, size - 1)
@@ -159,7 +160,8 @@ def latest(reported: Paths, now: Array | int | None = None) -> Latest:
         x[told, :, at]
         for x in (reported.mean, reported.cov, reported.alive, reported.alive_prob)
     )
-    alive = alive & (scan <= now)[:, None]
+    past = (scan <= now)[:, None]
+    alive, prob = alive & past, jnp.where(past, prob, 0.0)
     label = jnp.where(alive, reported.label[told], -1)
     return Latest(label, mean, cov, alive, prob)
 
