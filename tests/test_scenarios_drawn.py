@@ -40,7 +40,7 @@ def test_births_have_their_rates_places_and_covariances():
     # Four standard errors of a share of 8,000.
     np.testing.assert_allclose(born.mean((0, 1)), [0.3, 0.1], atol=0.021)
     for later in range(1, SCANS):
-        assert not slots[:, : later - 1, later].any()
+        assert not slots[:, :later, later].any()
     state = truth.state.reshape(RUNS, SCANS, SCANS, 2, 2)
     first = np.stack([state[:, t, t] for t in range(SCANS)], 1)
     for place, known in enumerate(zip(places().mean, places().cov, strict=True)):

@@ -59,10 +59,13 @@ def draw(
         key: Random key.
         target: `Params` of a target: motion or motions and switching, and survive, of
             which each motion has noise in all components.
-        birth: Who may be born in a scan, there when it is taken.
+        birth: Who may be born in a scan, there when it is taken; covariances are
+            positive definite.
         intervals: Seconds before each scan, [T].
         start: Who may be there before the first scan.
-        room: Born at one place in one scan at most, where their number is Poisson.
+        room: Born at one place in one scan at most, where their number is Poisson. What
+            is beyond is missing: with a rate of 0.1 in one scan of 200 if it is 1, in
+            one of 6,000 if it is 2.
 
     Returns:
         States [T, N, D] with N = T B room, and those of `start`.

@@ -130,6 +130,10 @@ def of_events(
         column: Which column each track has, [E, N].
         log_weight: Of each event; -inf for none, [E].
         complete: Whether no event was left out (bool).
+
+    Returns:
+        The association by these events alone; `log_ratio` of a track that none of them
+        misses is too large, by what other events say for its miss.
     """
     num_columns = log_score.shape[1]
     log_prob = mixture.log_normalise(log_weight)
