@@ -86,7 +86,7 @@ def track(
             part = scoring.summary(scores, result.settings.score)
             summary[name] = {"truth_column": truth_column, **part}
             typer.echo(("" if told is result else "Smoothed: ") + sentence(part))
-    names = write(out, table, result, summary, truth_column)
+    names = write(out, table, result, later, summary, truth_column)
     warn(summary)
     warn_limits(table, result.settings)
     typer.echo(f"Wrote {', '.join(names)} in {out}.")
@@ -128,25 +128,29 @@ def write(
     out: pathlib.Path,
     table: "Table",
     result: "Result",
+    later: "Result | None",
     summary: dict[str, Any],
     truth_column: str | None,
 ) -> list[str]:
     """Writes the tracks, the picture and the summary; returns the files' names."""
     from jaxtrack.data import files, tables
-    from jaxtrack.recorded import picture, tracking
+    from jaxtrack.recorded import picture
 
-    motion, later = result.motion, tracking.smoothed(result)
+    motion = result.motion
     index = motion.position_index, motion.velocity_index
     place = table.origin, table.start
     every = {"tracks.csv": result} | ({"smoothed.csv": later} if later else {})
+    (out / "smoothed.csv").unlink(missing_ok=True)  # of another tracker
     for name, told in every.items():
         tracks = tables.tracks_table(told.scans.time, told.estimates, *index, *place)
         tables.write_tracks(out / name, tracks)
     truth = None
     if truth_column is not None:
         truth = files.further_column(table, truth_column)
-    kind = "smoothed tracks" if later else "tracks"
-    title = f"{summary['file']}: {summary['tracks']} {kind}"
+    drawn = (later or result).estimates
+    number = len(set(drawn.label[drawn.exists].tolist()))
+    kind = "tracks, smoothed" if later else "tracks"
+    title = f"{summary['file']}: {number} {kind}"
     figure = picture.chart(later or result, table, truth, title)
     figure.savefig(out / "tracks.png", dpi=150)
     text = json.dumps(summary, indent=2, allow_nan=False)
