@@ -126,6 +126,19 @@ def test_wrong_tables_get_one_sentence(columns, message):
 def test_names_must_be_as_many_as_values():
     with pytest.raises(ValueError, match="names has x, but there are 2 components"):
         frames.detections_frame(some_scans(), ("x",))
+    with pytest.raises(ValueError, match="'x' would name two columns; give each a"):
+        frames.detections_frame(some_scans(), ("x", "x"))
+    with pytest.raises(ValueError, match="'target' would name two columns"):
+        frames.truth_frame(some_truth(), ("x", "target", "y", "vy"))
+
+
+def test_two_columns_of_one_name_are_refused():
+    frame = frames.detections_frame(some_scans())[["time", "x", "y", "x"]]
+    with pytest.raises(DataError, match="has several columns 'x'; keep one of them"):
+        frames.scans_from_frame(frame)
+    frame = frames.truth_frame(some_truth(), NAMES)[["time", "target", "time", *NAMES]]
+    with pytest.raises(DataError, match="has several columns 'time'; keep one"):
+        frames.truth_from_frame(frame, NAMES)
 
 
 # Truth.

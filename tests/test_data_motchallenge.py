@@ -151,6 +151,7 @@ def test_tracks_are_written_and_read_back_as_truth(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("1 2 3 4 5 6 7\n", "has a single column; separate columns by commas"),
         ("1,2,3,4,5,6\n", "has 6 columns; give 7 .frame, id, .* 9 .* or 10"),
         ("1,2,3,4,5,6,7\n1,2,3\n", "column 'bb_top', row 2: a blank cell is not a fin"),
         ("1,2,3,4,5,6,7\n1,2,3,4,5,6,7,8\n", "has 8 columns; give 7"),
@@ -166,6 +167,37 @@ def test_wrong_files_get_one_sentence(read, text, message):
     with pytest.raises(DataError, match=rf"det\.txt.*{message}") as raised:
         read(text)
     assert "\n" not in str(raised.value)
+
+
+def test_a_height_that_only_some_lines_know_is_not_made_up(read):
+    boxes = read("1,-1,1,1,2,2,1,3,4,5\n2,-1,1,1,2,2,1,6,7,-1\n")
+    with pytest.raises(DataError, match="Line 1, .* in frame 2 has no z .*every z to"):
+        motchallenge.measured(boxes, "world")
+    boxes.world[:, 2] = -1
+    places = motchallenge.measured(boxes, "world")
+    assert places.tolist() == [[3.0, 4.0], [6.0, 7.0]]
+
+
+@pytest.mark.parametrize(
+    ("lead", "index", "size", "message"),
+    [
+        ((), (0, 2), 5.0, r"size is 5.0; give \(width, height\) in pixels"),
+        ((), (0, 2), (5.0, 0.0), r"size is \(5.0, 0.0\); give"),
+        ((), (0,), None, r"position_index is \(0,\); give 2 or 3 components"),
+        ((), (0, 1, 2, 3), None, "give 2 or 3 components"),
+        ((), (0, 1, 2), (5.0, 5.0), "give 2 components"),
+        ((2,), (0, 2), None, r"exists has shape \(2, 3, 1\), not \[T, N\]; give .*one"),
+    ],
+)
+def test_estimates_that_make_no_lines_get_one_sentence(lead, index, size, message):
+    estimates = types.SimpleNamespace(
+        mean=np.ones((*lead, 3, 1, 4)),
+        label=np.ones((*lead, 3, 1), int),
+        exists=np.ones((*lead, 3, 1), bool),
+        existence_prob=np.ones((*lead, 3, 1)),
+    )
+    with pytest.raises(ValueError, match=message):
+        motchallenge.boxes_from_estimates(estimates, index, size)
 
 
 def test_wrong_settings_get_one_sentence(read, tmp_path):

@@ -179,6 +179,16 @@ def test_wrong_objects_get_one_sentence():
         ValueError, match=r"index is \(0, 2\); give each of 0 to 1 once"
     ):
         stonesoup.detections_from_scans(some_scans(), START, (0, 2))
+    flat = Detection([1.0], timestamp=NOON), Detection([2.0, 3.0], timestamp=NOON)
+    with pytest.raises(DataError, match="has 2 entries, but that at .* has 1; read"):
+        stonesoup.scans_from_detections([(NOON, flat)])
+    with pytest.raises(
+        ValueError, match=r"index is \(0, 1\), .* give numbers from 0 to"
+    ):
+        stonesoup.scans_from_detections([(NOON, flat[:1])], (0, 1))
+    several = types.SimpleNamespace(mean=0, cov=0, exists=np.ones((2, 3, 1), bool))
+    with pytest.raises(ValueError, match=r"shape \(2, 3, 1\), not \[T, N\]; give the"):
+        stonesoup.tracks_from_estimates(several, [0.0], START)
     path = GroundTruthPath([GroundTruthState([0.0], timestamp=after(1.0))])
     with pytest.raises(DataError, match="row 0.* is of 1 s, when there is no scan"):
         stonesoup.truth_from_paths([path], timestamps=[NOON])

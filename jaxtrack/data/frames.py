@@ -86,8 +86,8 @@ def scans_from_frame(
         if the table has seconds.
 
     Raises:
-        DataError: If a column is missing, a time goes backwards, a coordinate is
-            infinite, or a row has some of its coordinates.
+        DataError: If a column is missing or there twice, a time goes backwards, a
+            coordinate is infinite, or a row has some of its coordinates.
     """
     _check_columns(frame, ("time", *names))
     time, start = _read_clock(frame["time"], start)
@@ -125,7 +125,7 @@ def truth_frame(
     """
     pandas = import_pandas()
     rows = truth_to_rows(truth)
-    _check_names(names, rows.state.shape[-1])
+    _check_names(names, rows.state.shape[-1], ("time", "target"))
     who = rows.target if ids is None else np.asarray(ids)[rows.target]
     columns = {"time": _time_column(rows.time, start), "target": who}
     return pandas.DataFrame(columns | dict(zip(names, rows.state.T, strict=True)))
@@ -153,8 +153,9 @@ def truth_from_frame(
         has seconds.
 
     Raises:
-        DataError: If a column is missing, a cell is not finite, an identity has two
-            rows for one time, or a row has a time that is not among `times`.
+        DataError: If a column is missing or there twice, a cell is not finite, an
+            identity has two rows for one time, or a row has a time that is not among
+            `times`.
     """
     _check_columns(frame, ("time", identity, *names))
     time, start = _read_clock(frame["time"], start)
@@ -207,8 +208,16 @@ def _read_columns(frame: Any, names: Sequence[str]) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def _check_names(names: Sequence[str], size: int) -> None:
-    """Refuses names that are not one for each column."""
+def _check_names(
+    names: Sequence[str], size: int, taken: tuple[str, ...] = ("time",)
+) -> None:
+    """Refuses names that are not one for each column, or of two columns."""
+    every = [*taken, *names]
+    if again := [name for name in names if every.count(name) > 1]:
+        raise ValueError(
+            f"names has {', '.join(names)}, but {again[0]!r} would name two columns; "
+            "give each a name of its own."
+        )
     if len(names) != size:
         raise ValueError(
             f"names has {', '.join(names)}, but there are {size} components; give a "
@@ -217,7 +226,12 @@ def _check_names(names: Sequence[str], size: int) -> None:
 
 
 def _check_columns(frame: Any, names: Sequence[str]) -> None:
-    """Refuses a table that lacks a column."""
+    """Refuses a table that lacks a column, or has two of one name."""
+    if again := [name for name in names if list(frame).count(name) > 1]:
+        raise DataError(
+            f"{SOURCE} has several columns {again[0]!r}; keep one of them, or rename "
+            "the others."
+        )
     missing = [name for name in names if name not in frame]
     if missing:
         has = ", ".join(map(str, frame)) or "none"

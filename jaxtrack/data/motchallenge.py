@@ -21,7 +21,7 @@ Example:
 
 import os
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -77,6 +77,8 @@ def read_boxes(path: str | os.PathLike[str]) -> Boxes:
     size = cells.shape[1]
     if not len(cells):
         cells, size = cells.reindex(columns=range(10)), 10
+    if size == 1:
+        raise DataError(f"{path} has a single column; separate columns by commas.")
     if size not in LAYOUTS:
         raise DataError(
             f"{path} has {size} columns; give 7 ({', '.join(NAMES[:7])}), 9 (class and "
@@ -135,10 +137,11 @@ def measured(boxes: Boxes, what: What = "centre") -> np.ndarray:
         boxes: n lines.
         what: The box's "centre" in pixels [n, 2]; the "box" as centre, width and
             height [n, 4]; or the place in the "world", x and y in metres [n, 2], with
-            z [n, 3] if the file knows it.
+            z [n, 3] if the lines know it.
 
     Raises:
-        DataError: If a place in the world is not known.
+        DataError: If a place in the world is not known, or z is known of some lines
+            and not of others: then choose the lines, or set all z to -1.
     """
     if what == "world":
         lost = (boxes.world[:, :2] == UNKNOWN).all(axis=1)
@@ -148,8 +151,14 @@ def measured(boxes: Boxes, what: What = "centre") -> np.ndarray:
                 f"Line {k}, counted from 0, in frame {boxes.frame[k]} has no place in "
                 'the world (x and y are -1); use "centre" or "box".'
             )
-        flat = (boxes.world[:, 2] == UNKNOWN).all()
-        return boxes.world[:, :2] if flat else boxes.world
+        flat = boxes.world[:, 2] == UNKNOWN
+        if flat.any() and not flat.all():
+            k = int(np.argmax(flat))
+            raise DataError(
+                f"Line {k}, counted from 0, in frame {boxes.frame[k]} has no z (it is "
+                "-1), but others have; leave such lines out, or set every z to -1."
+            )
+        return boxes.world[:, :2] if flat.all() else boxes.world
     if what not in ("centre", "box"):
         raise ValueError(f'what is {what!r}; give "centre", "box" or "world".')
     centre = boxes.box[:, :2] + boxes.box[:, 2:] / 2.0
@@ -231,13 +240,18 @@ def boxes_from_estimates(
     Args:
         estimates: Estimates of a tracker for T frames: mean [T, N, D], label [T, N],
             exists [T, N], existence_prob [T, N], which becomes the confidence.
-        position_index: Which components of the state are the place.
+        position_index: Which components of the state are the place: two, or three of
+            a place in the world.
         size: Width and height of every box in pixels about the centre at the place;
             None if the place is in the world, in metres, and there are no boxes.
 
     Returns:
         The lines; ids are labels.
+
+    Raises:
+        ValueError: If an argument has another shape.
     """
+    _check_place(position_index, size)
     scan, slot, label = reported(estimates)
     place = np.asarray(estimates.mean, float)[scan, slot][:, list(position_index)]
     box = np.full((len(scan), 4), float(UNKNOWN))
@@ -256,6 +270,19 @@ def boxes_from_estimates(
         kind=np.full(len(scan), UNKNOWN),
         visibility=np.full(len(scan), float(UNKNOWN)),
     )
+
+
+def _check_place(position_index: Sequence[int], size: Any) -> None:
+    """Refuses what makes no boxes or places."""
+    if size is not None and not (np.shape(size) == (2,) and np.all(np.array(size) > 0)):
+        raise ValueError(
+            f"size is {size}; give (width, height) in pixels above 0, or None for a "
+            "place in the world."
+        )
+    most = 2 if size is not None else 3
+    if not (np.ndim(position_index) == 1 and 2 <= len(position_index) <= most):
+        told = "2" if most == 2 else "2 or 3"
+        raise ValueError(f"position_index is {position_index}; give {told} components.")
 
 
 def _frame_times(boxes: Boxes, frame_rate: float, num_frames: int | None) -> np.ndarray:

@@ -76,8 +76,9 @@ def scans_from_detections(
         Scans, start and the objects.
 
     Raises:
+        ValueError: If `index` goes beyond the state vectors.
         DataError: If timestamps are not in order, no detection tells how many values
-            are measured, or a value is not finite.
+            are measured, state vectors differ in size, or a value is not finite.
     """
     listed = [(stamp, list(some)) for stamp, some in pairs]
     seconds, start = _seconds([stamp for stamp, _ in listed], start)
@@ -207,8 +208,9 @@ def truth_from_paths(
         The N ids in sorted order, the truth, and the start.
 
     Raises:
+        ValueError: If `index` goes beyond the state vectors.
         DataError: If a path has a timestamp that is not among those given, there is no
-            state at all, or one is not finite.
+            state at all, states differ in size, or one is not finite.
     """
     last = {(path.id, x.timestamp): x for path in paths for x in path.states}
     stamps = [stamp for _, stamp in last]
@@ -246,8 +248,22 @@ def _vectors(states: Sequence[Any], index: Sequence[int] | None) -> np.ndarray:
                 "There is no state to tell how many values there are; give index."
             )
         return np.zeros((0, len(index)))
-    rows = np.array([np.asarray(x.state_vector, float).ravel() for x in states])
-    rows = rows if index is None else rows[:, list(index)]
+    each = [np.asarray(x.state_vector, float).ravel() for x in states]
+    sizes = [len(x) for x in each]
+    if len(set(sizes)) > 1:
+        k = next(k for k, size in enumerate(sizes) if size != sizes[0])
+        raise DataError(
+            f"The state vector at {states[k].timestamp} has {sizes[k]} entries, but "
+            f"that at {states[0].timestamp} has {sizes[0]}; read one kind at a time."
+        )
+    rows = np.array(each)
+    if index is not None:
+        if not all(0 <= i < sizes[0] for i in index):
+            raise ValueError(
+                f"index is {tuple(index)}, but a state vector has {sizes[0]} entries; "
+                f"give numbers from 0 to {sizes[0] - 1}."
+            )
+        rows = rows[:, list(index)]
     wrong = ~np.isfinite(rows).all(axis=1)
     if wrong.any():
         k = int(np.argmax(wrong))

@@ -92,8 +92,17 @@ def reported(estimates: PyTree) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns:
         The scan, the slot and the label of each, all [n].
+
+    Raises:
+        ValueError: If there is another axis, as of several recordings.
     """
-    scan, slot = np.nonzero(np.asarray(estimates.exists))
+    exists = np.asarray(estimates.exists)
+    if exists.ndim != 2:
+        raise ValueError(
+            f"estimates.exists has shape {exists.shape}, not [T, N]; give the "
+            "estimates of one recording at a time."
+        )
+    scan, slot = np.nonzero(exists)
     label = np.asarray(estimates.label)[scan, slot]
     order = np.lexsort((label, scan))
     return scan[order], slot[order], label[order]
