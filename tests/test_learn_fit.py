@@ -1,6 +1,7 @@
 """Fits, against closed forms and against a plain filter with SciPy's optimiser."""
 
 import functools
+from typing import NamedTuple
 
 import chex
 import jax
@@ -99,6 +100,16 @@ def test_information_about_nothing_is_told_as_such():
     )
 
 
+def test_what_is_not_at_a_maximum_has_no_error():
+    hessian = np.array([[4.0, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
+    # Along (0, 1, 1) the information is 3, and along (0, 1, -1) it is -1.
+    expected = [0.5, np.nan, (2 / 3) ** 0.5]
+    np.testing.assert_allclose(information.std_of(rows, hessian), expected, rtol=1e-12)
+    cov = information.cov_of(hessian)
+    np.testing.assert_array_equal(cov, np.diag([0.25, np.nan, np.nan]))
+
+
 def test_the_covariance_is_the_inverse_whatever_the_units():
     root = np.random.default_rng(0).normal(size=(4, 4)) * [1e3, 1.0, 1.0, 1e-3]
     hessian = root.T @ root
@@ -185,6 +196,10 @@ def test_a_fit_that_diverges_says_where_and_returns_the_last_finite_one():
     assert (fit.params, fit.history) == (start(), None)
 
 
+class Outer(NamedTuple):
+    scan: int
+
+
 class Killed(Exception):
     pass
 
@@ -217,12 +232,52 @@ def test_a_directory_holds_one_fit(tmp_path):
         learn.fit, watcher, start(), optimizer=ADAM, where=both, errors=False
     )
     run(scans=watched(), num_steps=2, directory=tmp_path)
-    with pytest.raises(ValueError, match="fingerprint of code and values is"):
+    with pytest.raises(
+        ValueError, match=r"keeps another fit \(fingerprint of code and"
+    ):
         run(scans=watched(seed=1), num_steps=2, directory=tmp_path)
-    with pytest.raises(ValueError, match="seed is 0, not 1"):
+    told = (
+        r"fit.npz keeps another fit \(seed is 0, not 1\); give another directory or r"
+    )
+    with pytest.raises(ValueError, match=told):
         run(scans=watched(), num_steps=2, directory=tmp_path, seed=1)
-    with pytest.raises(ValueError, match="a fit by another optimiser"):
+    with pytest.raises(ValueError, match="segment is 1, not 2"):
+        run(scans=watched(), num_steps=2, directory=tmp_path, segment=2)
+    with pytest.raises(ValueError, match="prior is .*, not test_learn_fit.likes"):
+        run(scans=watched(), num_steps=2, directory=tmp_path, prior=likes)
+    with pytest.raises(ValueError, match="fit.npz keeps another fit .it is by anot"):
         run(scans=watched(), num_steps=2, directory=tmp_path, optimizer=NEWTON)
+
+
+def likes(p):
+    return -(p.mean**2)
+
+
+def test_settings_that_have_no_name_are_told_apart_by_the_first_loss(tmp_path):
+    def scaled(scale):
+        step = functools.partial(scaled_watch, scale)
+        return watcher._replace(step=step)
+
+    run = functools.partial(
+        learn.fit, params=start(), scans=watched(), optimizer=ADAM, where=both
+    )
+    settings = {"num_steps": 1, "directory": tmp_path, "errors": False}
+    first = run(scaled(1.0), **settings)
+    with pytest.raises(
+        ValueError, match=r"another fit \(the first loss is 1\.\d+, not"
+    ):
+        run(scaled(1.001), **settings)
+    again = run(scaled(1.0), **settings)
+    chex.assert_trees_all_equal(again.history, first.history)
+
+
+def scaled_watch(scale, params, state, scan):
+    state, told = watcher.step(params, state, scan)
+    return state, told._replace(log_evidence=scale * told.log_evidence)
+
+
+def with_truth(estimates, scans, truth):
+    return truth.mean()
 
 
 def test_windows_and_batches_are_drawn_evenly():
@@ -290,12 +345,45 @@ def test_jpda_learns_noise_and_detection_among_clutter():
         ({"batch": 4}, "batch is 4; give a number from 1 to 3"),
         ({"window": 41}, "window is 41; give a number from 1 to 40"),
         ({"num_steps": 0}, "num_steps is 0; give at least 1"),
-        ({"truth": np.zeros((3, 7))}, r"truth hold an array of shape \(3, 7\)"),
+        (
+            {"truth": np.zeros((3, 7)), "loss": with_truth},
+            r"truth hold an array of shape \(3, 7\)",
+        ),
+        ({"num_steps": 2.5}, "num_steps is 2.5; give at least 1, a whole number"),
+        ({"num_steps": None}, "num_steps is None; give at least 1, a whole number"),
+        ({"window": 2.5}, "window is 2.5; give a number from 1 to 40"),
+        ({"tolerance": np.nan}, "tolerance is nan; give a finite number, at least 0"),
+        ({"tolerance": None}, "tolerance is None; give a finite number"),
+        ({"scans": None}, r"scans are of type NoneType; give a Scan or Scans whose"),
+        ({"scans": Outer(1)}, "of type Outer, which has them in .scan; give"),
+        ({"optimizer": None}, "optimizer is None; give one of optax, such as"),
+        ({"where": "std"}, "where is 'std'; give a function such as lambda"),
+        ({"loss": None}, "loss is None; give a function"),
+        ({"loss": with_truth}, "the loss needs the truth; give truth="),
+        (
+            {"truth": np.zeros((3, 40))},
+            "truth is given, but the loss takes none; leave",
+        ),
+        ({"loss": lambda estimates: 0.0}, "does not take .estimates, scans., nor"),
+        (
+            {"loss": lambda estimates, scans: estimates.log_evidence},
+            r"the loss returns shape \(40,\); return a scalar, as of .mean",
+        ),
+        (
+            {"loss": lambda estimates, scans: (estimates.log_evidence.mean(), 1)},
+            "the loss returns a tuple; return a scalar",
+        ),
+        (
+            {"loss": lambda estimates, scans: estimates.log_evidence.argmax()},
+            "the loss returns int.*, not a float; it has no slope",
+        ),
+        ({"prior": lambda p: p.mean[None]}, r"the prior returns shape \(1,\); return"),
     ],
 )
 def test_sizes_that_make_no_sense_are_told(settings, told):
+    given = {"scans": watched(), **settings}
     with pytest.raises(ValueError, match=told):
-        learn.fit(watcher, start(), watched(), **settings)
+        learn.fit(watcher, start(), **given)
 
 
 def test_scans_of_several_sensors_are_counted_by_the_first():

@@ -194,6 +194,7 @@ BOX = clutter.UniformClutter(value(1.5), array(-5.0), array(5.0))
             "transition is .*; give probabilities that sum to one",
         ),
         (probability.Constant(value(1.0)), None, "nothing is left to be learned"),
+        (BOX, "rate", "where is 'rate'; give a function such as lambda p"),
         (BOX, lambda p: "rate", "where returns 'rate', which is no part"),
         (mine(), lambda p: p.count, "count holds .*, which has no slope"),
     ],
@@ -201,6 +202,26 @@ BOX = clutter.UniformClutter(value(1.5), array(-5.0), array(5.0))
 def test_bad_values_and_choices_are_told_in_a_sentence(params, where, told):
     with pytest.raises(ValueError, match=told):
         learn.unconstrain(params, where)
+
+
+@pytest.mark.parametrize("rate", [6, np.int32(6), np.array(6)])
+def test_a_whole_number_is_learned_where_its_field_says_what_it_may_be(rate):
+    free, constrain = learn.unconstrain(BOX._replace(rate=rate))
+    np.testing.assert_allclose(free["rate"], [np.log(6.0)], rtol=1e-15)
+    assert free["rate"].dtype == float
+    found = constrain({"rate": free["rate"] + np.log(1.25)})
+    np.testing.assert_allclose(found.rate, 7.5, rtol=1e-14)
+    params = PARAMS["cbmember_imm"]()
+    mean = np.round(params.birth.mean).astype(int)
+    birth = params.birth._replace(mean=mean)
+    free, constrain = learn.unconstrain(params._replace(birth=birth))
+    np.testing.assert_allclose(constrain(free).birth.mean, mean, rtol=1e-12)
+    assert "birth.mean" in free
+
+
+def test_params_that_are_traced_get_one_sentence():
+    with pytest.raises(ValueError, match="traced by jax; call unconstrain outside of"):
+        jax.jit(lambda params: learn.unconstrain(params)[0])(BOX)
 
 
 def test_only_what_may_be_any_number_is_declared_without_constraint():

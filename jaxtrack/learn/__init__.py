@@ -95,17 +95,18 @@ def unconstrain(
         where: Takes something like `params` and returns what of it is learned, arrays
             or subtrees, one or a tuple of them: `lambda p: (p.clutter.rate,
             p.target.sensor)`. By default all. The rest stays as it is; so do entries
-            on the boundary of what they may be, whole numbers, and what is declared
-            `Fixed` unless it is named itself.
+            on the boundary of what they may be, what is declared `Fixed` unless it is
+            named itself, and whole numbers, unless their field says what real numbers
+            it may have: a `Positive` rate of 6 is learned as one of 6.0.
 
     Returns:
         Vectors by the path of their array ("clutter.rate"), and a function from such to
         `params`, which may be jitted and differentiated; of these vectors it gives
-        `params` itself.
+        `params` again, to rounding.
 
     Raises:
-        ValueError: Nothing is left to be learned, `where` returns something else, or a
-            value breaks its constraint.
+        ValueError: Nothing is left to be learned, `where` returns something else, a
+            value breaks its constraint, or it is called while jax traces.
     """
     plan = leaves.plan(params, where)
     free = leaves.unconstrain(plan, params)
@@ -152,9 +153,9 @@ def fit(
         prior: (params) -> log-density of the parameters themselves, for a fit of
             maximum a posteriori.
         num_steps: Steps at most.
-        patience: It has converged when so many steps did not lower the loss by
-            `tolerance`; None for never. Adam
-            overshoots, for more steps the smaller they are.
+        patience: After so many steps in a row that did not lower the loss by
+            `tolerance` it has converged; None for never. Give more with small steps:
+            Adam overshoots before it settles, and then takes more of them.
         tolerance: See `patience`; in units of the loss, which is per scan.
         batch: Recordings drawn anew for each step; by default all.
         window: Consecutive scans of each that are drawn anew for each step, at whose
@@ -166,17 +167,20 @@ def fit(
             memory, and time too; see `segments.run`. None keeps all.
         errors: Whether to measure standard errors, by two gradients of all scans for
             each number that is learned.
-        directory: Where the fit is kept; run again, it goes on and gives the same
-            numbers. Optimiser and loss are taken to be the same.
+        directory: Where the fit is kept, in `fit.npz`; run again, it goes on and gives
+            the same numbers. The optimiser's settings are taken to be the same.
         progress: Called with the number of steps done, that of all, and the loss.
 
     Returns:
         The parameters, and how well they are known.
 
     Raises:
-        ValueError: A number that makes no sense, scans that do not fit, a directory
-            that holds another fit, or a reason of `unconstrain`.
+        ValueError: A number that makes no sense, scans that do not fit, a loss that
+            does not go with `truth` or returns no scalar, a directory that holds
+            another fit, or a reason of `unconstrain`.
     """
+    sizes.check_functions(optimizer, loss, prior, truth is not None)
+    sizes.check_end(num_steps, tolerance)
     several, number, total = sizes.recordings(scans, truth)
     counts = {"num_steps": num_steps, "patience": patience, "segment": segment}
     sizes.check(number, total, batch, window, block=block, **counts)

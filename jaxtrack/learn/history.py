@@ -100,6 +100,13 @@ def write(path: pathlib.Path, identity: Mapping[str, Any], now: Now) -> None:
     parts.write(path, identity, parts.Part(arrays, len(now.places), 0.0, {}))
 
 
+def foreign(path: pathlib.Path, why: str) -> ValueError:
+    """Returns the error of a fit that must not go on as another one."""
+    return ValueError(
+        f"{path} keeps another fit ({why}); give another directory or remove this file"
+    )
+
+
 def read(
     path: pathlib.Path, identity: Mapping[str, Any], start: Now, place: slopes.Slope
 ) -> Now:
@@ -114,7 +121,11 @@ def read(
     Raises:
         ValueError: Another fit is kept there.
     """
-    part = parts.read(path, identity)
+    try:
+        part = parts.read(path, identity)
+    except parts.ForeignPart as error:
+        told = str(error).removeprefix(f"{path.parent} holds parts of another study (")
+        raise foreign(path, told.rpartition(");")[0]) from None
     if part is None:
         return start
 
@@ -126,10 +137,7 @@ def read(
     free, state = rebuilt("now", (start.free, start.state))
     told = [np.shape(x) for x in jax.tree.leaves((free, state))]
     if told != [np.shape(x) for x in jax.tree.leaves((start.free, start.state))]:
-        raise ValueError(
-            f"{path} holds a fit by another optimiser; remove it or give another "
-            "directory"
-        )
+        raise foreign(path, "it is by another optimiser")
     places = rebuilt("place", place)
     number = int(part.seconds)
     return Now(

@@ -3,14 +3,17 @@
 The information is the Hessian of the total negative log-evidence, less the log-prior,
 in the free numbers, by central differences of its exact slopes. Standard errors are
 those of the parameters themselves, by the delta method. A parameter that the scans tell
-nothing about, alone or apart from others, has an infinite one. Where the evidence is an
-approximation they are as good as that.
+nothing about, alone or apart from others, has an infinite one; one along which the
+information is negative, so that the place is not at a maximum, has NaN. Where the
+evidence is an approximation they are as good as that.
 
     >>> import numpy as np
     >>> from jaxtrack.learn import information
     >>> told = np.array([[4.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
     >>> print(information.std_of(np.eye(3), told))  # of the last two only the sum
     [0.5 inf inf]
+    >>> print(information.std_of(np.eye(2), np.diag([4.0, -1.0])))
+    [0.5 nan]
 
 Reference: Efron and Hinkley, "Assessing the accuracy of the maximum likelihood
 estimator: observed versus expected Fisher information", Biometrika 65(3), 1978.
@@ -34,8 +37,12 @@ class Information(NamedTuple):
         names: The entry that each stands at, [n].
         hessian: The observed information, [n, n].
         cov: Covariance of the free numbers, its inverse, [n, n]; what there is no
-            information about has an infinite variance, and counts as independent.
-        std_error: Of the learned arrays by path; 0 where an entry does not move.
+            information about has an infinite variance, and counts as independent;
+            so does what has NaN.
+        std_error: Of the learned arrays by path; 0 where an entry does not move,
+            infinite where nothing is known, NaN where the information is negative.
+            They are meant for a maximum: a fit that ran out of steps may not be at one,
+            even if they are finite.
     """
 
     names: list[str]
@@ -95,14 +102,16 @@ def std_of(
         tolerance: Information below this, where each number alone has 1, is none.
 
     Returns:
-        [E]; infinite for what depends on something that there is no information about.
+        [E]; infinite for what depends on something that there is no information about,
+        NaN for what depends on something of which it is negative.
     """
     value, vector = _axes(hessian)
     square = (rows @ vector) ** 2
     known = value > tolerance
-    unknown = (square > tolerance * square.sum(1, keepdims=True)) & ~known
+    matters = square > tolerance * square.sum(1, keepdims=True)
     variance = np.where(known, square / np.where(known, value, 1.0), 0.0).sum(1)
-    return np.where(unknown.any(1), np.inf, np.sqrt(variance))
+    std = np.where((matters & ~known).any(1), np.inf, np.sqrt(variance))
+    return np.where((matters & (value < -tolerance)).any(1), np.nan, std)
 
 
 def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:
@@ -111,9 +120,9 @@ def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:
     known = value > tolerance
     cov = (vector * np.where(known, 1 / np.where(known, value, 1.0), 0.0)) @ vector.T
     std = std_of(np.eye(len(hessian)), hessian, tolerance)
-    apart = np.isinf(std)
+    apart = ~np.isfinite(std)
     cov[apart] = cov[:, apart] = 0.0
-    cov[apart, apart] = np.inf
+    cov[apart, apart] = std[apart]
     return cov
 
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.constraints import REAL, Constraint, of
 from jaxtrack.learn import supports
@@ -88,17 +89,23 @@ def plan(params: PyTree, where: Where | None = None) -> Plan:
         params: Any tracker's `Params`, with numbers.
         where: Takes something like `params` and returns the arrays or subtrees of it
             that are learned, one or a tuple of them; by default all. What is `Fixed`
-            must be named itself; whole numbers and truth values are never learned.
+            must be named itself. Truth values are never learned, nor whole numbers
+            but where the field says what real numbers it may have.
 
     Raises:
-        ValueError: Nothing is left to be learned, `where` returns something else, or
-            a value breaks its constraint.
+        ValueError: Nothing is left to be learned, `where` returns something else, a
+            value breaks its constraint, or the values are traced.
     """
     every, values = declared(params), jax.tree.leaves(params)
+    if any(isinstance(value, Tracer) for value in values):
+        raise ValueError(
+            "the params are being traced by jax; call unconstrain outside of jit, vmap "
+            "and grad, and inside of them the function that it returns"
+        )
     named, below = _chosen(params, where)
     learned = {}
     for i, (one, value) in enumerate(zip(every, values, strict=True)):
-        if jnp.issubdtype(jnp.result_type(value), jnp.floating):
+        if _is_real(one.constraint, value):
             if i in named or (i in below and not one.constraint.fixed):
                 learned[i] = one
         elif i in named:
@@ -202,11 +209,24 @@ def _hints(kind: type) -> dict[str, Any]:
         ) from None
 
 
+def _is_real(constraint: Constraint, value: Any) -> bool:
+    """Returns whether an array holds real numbers, if written as whole ones."""
+    kind = jnp.result_type(value)
+    meant = constraint.kind != "real" or constraint.other
+    return jnp.issubdtype(kind, jnp.floating) or bool(
+        meant and jnp.issubdtype(kind, jnp.integer)
+    )
+
+
 def _chosen(params: PyTree, where: Where | None) -> tuple[set[int], set[int]]:
     """Returns which leaves were named, and which stand below a subtree that was."""
     number = len(jax.tree.leaves(params))
     if where is None:
         return set(), set(range(number))
+    if not callable(where):
+        raise ValueError(
+            f"where is {where!r}; give a function such as lambda p: p.target.sensor"
+        )
     marks = [_Mark(i) for i in range(number)]
     shown = jax.tree.unflatten(jax.tree.structure(params), marks)
     named: set[int] = set()

@@ -24,6 +24,7 @@ from jaxtrack.types import Array, PyTree
 Stopped = Literal["converged", "diverged", "out of steps"]
 Progress = Callable[[int, int, float], None]
 KEPT_EVERY = 10.0  # seconds
+SAME = 1e3  # roundings by which another processor may tell the same loss
 
 
 class Rules(NamedTuple):
@@ -90,7 +91,8 @@ def walk(
         ValueError: Another fit is kept there.
     """
     store = None if directory is None else (_path(directory), _identity(task))
-    now, base = _begin(task, store), jax.random.key(task.seed)
+    base = jax.random.key(task.seed)
+    now = _begin(task, store, jax.random.fold_in(base, 0))
     kept = time.monotonic()
     try:
         while (end := _end(now.places, task.problem, rules)) is None:
@@ -126,21 +128,41 @@ def _identity(task: Task) -> dict[str, Any]:
         "seed": task.seed,
         "batch": problem.batch,
         "window": problem.window,
+        "block": problem.block,
+        "segment": problem.segment,
+        "tracker": _name(problem.tracker.step),
+        "loss": _name(problem.loss),
+        "prior": _name(problem.prior),
         "learned": [leaf.path for leaf in problem.plan],
         "fingerprint of code and values": parts.fingerprint(values),
     }
 
 
-def _begin(task: Task, store: Any) -> history.Now:
-    """Returns where a fit begins, or goes on."""
+def _name(function: Any) -> str:
+    """Returns what a function is called, whatever arguments it holds."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    module = getattr(function, "__module__", "")
+    return f"{module}.{getattr(function, '__qualname__', type(function).__name__)}"
+
+
+def _begin(task: Task, store: Any, key: Array) -> history.Now:
+    """Returns where a fit begins, or goes on; `key` is that of its first step."""
     free = leaves.unconstrain(task.problem.plan, task.params)
     start = history.Now([], free, jax.jit(task.optimizer.init)(free))
     if store is None:
         return start
     ask = functools.partial(slopes.slope, task.problem)
-    like = jax.eval_shape(ask, task.params, task.data, free, jax.random.key(0))
+    given = task.params, task.data, free, key
     path, identity = store
-    return history.read(path, identity, start, like)
+    now = history.read(path, identity, start, jax.eval_shape(ask, *given))
+    if now.places:
+        # Names do not tell all settings of a tracker or a loss; the first loss does.
+        here, kept = jax.device_get(ask(*given)).loss, now.places[0].loss
+        if not abs(here - kept) <= SAME * np.finfo(here.dtype).eps * (1 + abs(kept)):
+            why = f"the first loss is {kept!s}, not {here!s}"
+            raise history.foreign(path, why)
+    return now
 
 
 def _end(

@@ -1,4 +1,4 @@
-"""Whether the sizes of a fit make sense, before anything is compiled.
+"""Whether what a fit is given makes sense, before anything is compiled.
 
 >>> import numpy as np
 >>> from jaxtrack.learn import sizes
@@ -8,6 +8,7 @@
 (False, 1, 9)
 """
 
+import inspect
 from typing import Any
 
 import jax
@@ -27,6 +28,12 @@ def recordings(scans: PyTree, truth: PyTree) -> tuple[bool, int, int]:
         ValueError: They have not.
     """
     told: Any = scans.each[0] if hasattr(scans, "each") else scans
+    if not hasattr(told, "interval"):
+        inner = ", which has them in .scan" if hasattr(told, "scan") else ""
+        raise ValueError(
+            f"scans are of type {type(scans).__name__}{inner}; give a Scan or Scans "
+            "whose arrays begin with [T] or [R, T]"
+        )
     shape = np.shape(told.interval)
     if len(shape) not in (1, 2) or 0 in shape:
         raise ValueError(
@@ -63,8 +70,59 @@ def check(
         ("batch", batch, num_recordings),
         ("window", window, num_scans),
     ):
-        if value is not None and not 1 <= value <= most:
-            raise ValueError(f"{name} is {value}; give a number from 1 to {most}")
+        if value is not None and not (_whole(value) and 1 <= value <= most):
+            raise ValueError(f"{name} is {value!r}; give a number from 1 to {most}")
     for name, value in counts.items():
-        if value is not None and value < 1:
-            raise ValueError(f"{name} is {value}; give at least 1")
+        if value is not None and not (_whole(value) and value >= 1):
+            raise ValueError(f"{name} is {value!r}; give at least 1, a whole number")
+
+
+def check_end(num_steps: int, tolerance: float) -> None:
+    """Raises a ValueError if a fit would have no end, or none that makes sense."""
+    if num_steps is None:
+        raise ValueError("num_steps is None; give at least 1, a whole number")
+    if not (isinstance(tolerance, int | float | np.number) and 0 <= tolerance < np.inf):
+        raise ValueError(
+            f"tolerance is {tolerance!r}; give a finite number, at least 0"
+        )
+
+
+def check_functions(optimizer: Any, loss: Any, prior: Any, has_truth: bool) -> None:
+    """Raises a ValueError if one is none, or the loss does not go with the truth."""
+    if not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
+        raise ValueError(
+            f"optimizer is {optimizer!r}; give one of optax, such as optax.adam(0.05)"
+        )
+    for name, function in {"loss": loss, "prior": prior}.items():
+        if not (callable(function) or (name == "prior" and prior is None)):
+            raise ValueError(f"{name} is {function!r}; give a function")
+    takes = [_takes(loss, number) for number in (2, 3)]
+    if takes == [False, True] and not has_truth:
+        raise ValueError("the loss needs the truth; give truth=")
+    if takes == [True, False] and has_truth:
+        raise ValueError(
+            "truth is given, but the loss takes none; leave truth out, or give a loss "
+            "(estimates, scans, truth), such as loss.gospa(...)"
+        )
+    if not any(takes):
+        raise ValueError(
+            "the loss does not take (estimates, scans), nor (estimates, scans, truth); "
+            "give one of learn.loss, or a function of these"
+        )
+
+
+def _takes(function: Any, number: int) -> bool:
+    """Returns whether a function may be called with so many arguments."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of what was compiled elsewhere
+        return True
+    try:
+        signature.bind(*range(number))
+    except TypeError:
+        return False
+    return True
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -126,7 +126,9 @@ def value_of(
     )
     if problem.prior is None:
         return each.mean()
-    return each.mean() - problem.prior(params) / num_scans(data)
+    density = problem.prior(params)
+    _check_scalar("prior", density)
+    return each.mean() - density / num_scans(data)
 
 
 def is_noisy(problem: Problem) -> bool:
@@ -164,4 +166,17 @@ def _one(
     """Returns the loss of one recording."""
     estimates = segments.run(tracker, params, data.scans, data.keys, segment)
     told = (data.scans,) if data.truth is None else (data.scans, data.truth)
-    return loss(estimates, *told)
+    value = loss(estimates, *told)
+    _check_scalar("loss", value)
+    return value
+
+
+def _check_scalar(name: str, value: Any) -> None:
+    """Refuses what a function of the caller's returned, before all else does."""
+    leaf = jax.tree.structure(value) == jax.tree.structure(0)
+    if not (leaf and jnp.shape(value) == ()):
+        shape = f"shape {jnp.shape(value)}" if leaf else f"a {type(value).__name__}"
+        raise ValueError(f"the {name} returns {shape}; return a scalar, as of .mean()")
+    if not jnp.issubdtype(jnp.result_type(value), jnp.floating):
+        kind = jnp.result_type(value)
+        raise ValueError(f"the {name} returns {kind}, not a float; it has no slope")
