@@ -62,6 +62,7 @@ def test_what_is_expected_of_the_noises_is_that_of_the_joint_gaussian():
         look, place = sensors.matrix[t], slice(2 * t + 2, 2 * t + 4)
         error = detections[t] - look @ mean[place] - sensors.offset[t]
         expected = detected[t] * (look @ cov[place, place] @ look.T + error**2)
+        # Squares of detections of some 1e3.
         np.testing.assert_allclose(smoothed().sensor[t], expected, rtol=1e-6, atol=1e-6)
 
 
