@@ -244,7 +244,7 @@ def test_a_directory_holds_one_fit(tmp_path):
         run(scans=watched(), num_steps=2, directory=tmp_path, seed=1)
     with pytest.raises(ValueError, match="segment is 1, not 2"):
         run(scans=watched(), num_steps=2, directory=tmp_path, segment=2)
-    with pytest.raises(ValueError, match="prior is .*, not test_learn_fit.likes"):
+    with pytest.raises(ValueError, match="prior is .*, not <function likes>"):
         run(scans=watched(), num_steps=2, directory=tmp_path, prior=likes)
     with pytest.raises(ValueError, match="fit.npz keeps another fit .it is by anot"):
         run(scans=watched(), num_steps=2, directory=tmp_path, optimizer=NEWTON)
@@ -256,7 +256,9 @@ def likes(p):
 
 def test_settings_that_have_no_name_are_told_apart_by_the_first_loss(tmp_path):
     def scaled(scale):
-        step = functools.partial(scaled_watch, scale)
+        def step(*given):
+            return scaled_watch(scale, *given)
+
         return watcher._replace(step=step)
 
     run = functools.partial(
@@ -268,6 +270,9 @@ def test_settings_that_have_no_name_are_told_apart_by_the_first_loss(tmp_path):
         ValueError, match=r"another fit \(the first loss is 1\.\d+, not"
     ):
         run(scaled(1.001), **settings)
+    bound = watcher._replace(step=functools.partial(scaled_watch, 1.0))
+    with pytest.raises(ValueError, match=r"another fit \(tracker is "):
+        run(bound, **settings)
     again = run(scaled(1.0), **settings)
     chex.assert_trees_all_equal(again.history, first.history)
 

@@ -40,7 +40,8 @@ class Information(NamedTuple):
             information about has an infinite variance, and counts as independent;
             so does what has NaN.
         std_error: Of the learned arrays by path; 0 where an entry does not move,
-            infinite where nothing is known, NaN where the information is negative.
+            infinite where nothing is known, NaN where the information is negative (in
+            float32 rounding may make it so where next to nothing is known).
             They are meant for a maximum: a fit that ran out of steps may not be at one,
             even if they are finite.
     """

@@ -8,7 +8,9 @@
 """
 
 import functools
+import hashlib
 import pathlib
+import re
 import time
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
@@ -130,7 +132,7 @@ def _identity(task: Task) -> dict[str, Any]:
         "window": problem.window,
         "block": problem.block,
         "segment": problem.segment,
-        "tracker": _name(problem.tracker.step),
+        "tracker": hashlib.sha256(_name(problem.tracker).encode()).hexdigest()[:16],
         "loss": _name(problem.loss),
         "prior": _name(problem.prior),
         "learned": [leaf.path for leaf in problem.plan],
@@ -139,11 +141,8 @@ def _identity(task: Task) -> dict[str, Any]:
 
 
 def _name(function: Any) -> str:
-    """Returns what a function is called, whatever arguments it holds."""
-    while isinstance(function, functools.partial):
-        function = function.func
-    module = getattr(function, "__module__", "")
-    return f"{module}.{getattr(function, '__qualname__', type(function).__name__)}"
+    """Returns what a function is called, and the settings that are bound to it."""
+    return re.sub(" at 0x[0-9a-f]+", "", repr(function))  # another in each process
 
 
 def _begin(task: Task, store: Any, key: Array) -> history.Now:
@@ -157,7 +156,7 @@ def _begin(task: Task, store: Any, key: Array) -> history.Now:
     path, identity = store
     now = history.read(path, identity, start, jax.eval_shape(ask, *given))
     if now.places:
-        # Names do not tell all settings of a tracker or a loss; the first loss does.
+        # What a closure holds has no name; the first loss tells it.
         here, kept = jax.device_get(ask(*given)).loss, now.places[0].loss
         if not abs(here - kept) <= SAME * np.finfo(here.dtype).eps * (1 + abs(kept)):
             why = f"the first loss is {kept!s}, not {here!s}"
