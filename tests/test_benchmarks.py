@@ -124,3 +124,43 @@ def test_benchmarks_named_are_run_anew(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("sys.argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit):
         everything.main()
+
+
+# What the page calls it, and which row of the results it is.
+PAGE = {
+    "Kalman filter, dense": ("Kalman filter, dense, log-likelihood", "float32"),
+    "known zeros": ("Kalman filter, models, log-likelihood", "float32"),
+    "float64, dense": ("Kalman filter, dense, log-likelihood", "float64"),
+    "float64, known zeros": ("Kalman filter, models, log-likelihood", "float64"),
+    "all filtered beliefs kept": ("Kalman filter, dense, all beliefs", "float32"),
+    "extended, models": ("extended Kalman filter, models", "float32"),
+    "extended, a user's functions": (
+        "extended Kalman filter, a user's functions",
+        "float32",
+    ),
+    "IMM, five modes": ("IMM, five modes, dense", "float32"),
+    "IMM, five modes, as a target": ("IMM, five modes, as a target", "float32"),
+    "mixture update, 400 x 30": (
+        "mixture update, 400 components, 30 detections",
+        "float32",
+    ),
+    "two cores, 8,192 runs": (
+        "Kalman filter, models, 8,192 runs, two cores",
+        "float32",
+    ),
+}
+
+
+def test_the_page_on_performance_tells_the_results_that_are_kept():
+    rows = json.loads(table.LATEST.read_text())["rows"]
+    page = (table.HERE.parent / "docs" / "performance.md").read_text()
+    told = {}
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| ") and len(cells) == 4:
+            told[cells[0]] = cells[2]
+    for name, (work, precision) in PAGE.items():
+        row = next(x for x in rows if (x["work"], x["precision"]) == (work, precision))
+        assert table.number(row["ratio_to_peer"] or row["ratio_to_limit"]) in told[name]
+        if row["ratio_to_limit"] is not None:
+            assert table.number(row["ratio_to_limit"]) in told[name]
