@@ -1,8 +1,9 @@
 """What do two cores bring?
 
-Two processes, one bound to one core, the other to two with a device each, take turns at
-the same runs; the clock on the wall decides, since cores are what is counted. Only on
-an idle machine does this say something.
+Processes, one bound to one core, the others to two with a device each, take turns at
+the same runs; the clock on the wall decides, since cores are what is counted. In the
+last one the runs lie on the devices beforehand (`engine.share`). Only on an idle
+machine does this say something.
 """
 
 import argparse
@@ -15,13 +16,14 @@ import numpy as np
 
 from benchmarks import common, kalman, problems
 from benchmarks.common import Row, Size
+from jaxtrack import engine
 
 KIND = "float32"
 RUNS = 8192
 SECONDS = 0.3  # of a turn
 
 
-def serve(cores: int, runs: int, scans: int) -> None:
+def serve(cores: int, shared: int, runs: int, scans: int) -> None:
     """Answers every line on stdin with the rate, steps a second, of one turn."""
     common.pin(cores)
     jax.config.update("jax_num_cpu_devices", cores)
@@ -32,9 +34,13 @@ def serve(cores: int, runs: int, scans: int) -> None:
         tolerance = kalman.TOLERANCE[KIND]
         return common.check(name, result[: len(total)], total, tolerance)
 
-    shared = kalman.models()
+    problem = exact.to(KIND)
+    if shared:
+        some = problem.mean, problem.cov, problem.detections
+        mean, cov, detections = engine.share(some)
+        problem = problem._replace(mean=mean, cov=cov, detections=detections)
     function = kalman.model_log_likelihood
-    job = common.library(function, shared, exact.to(KIND), check)
+    job = common.library(function, kalman.models(), problem, check)
     print("ready", flush=True)
     for _ in sys.stdin:
         start, calls = time.perf_counter(), 0
@@ -45,9 +51,9 @@ def serve(cores: int, runs: int, scans: int) -> None:
         print(calls * job.items / seconds, flush=True)
 
 
-def start(cores: int, size: Size) -> subprocess.Popen:
+def start(cores: int, shared: int, size: Size) -> subprocess.Popen:
     """Starts a process on so many cores and waits until it is ready."""
-    numbers = [str(x) for x in (cores, size.runs, size.scans)]
+    numbers = [str(x) for x in (cores, shared, size.runs, size.scans)]
     command = [sys.executable, "-m", "benchmarks.cores", "--serve", *numbers]
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
@@ -73,19 +79,21 @@ def rows(size: Size) -> list[Row]:
     """Answers the question."""
     if size != common.QUICK:
         size = size._replace(runs=RUNS)
-    both = [start(cores, size) for cores in (1, 2)]
-    rates = np.array([[turn(x) for x in both] for _ in range(size.rounds)]).T
-    for process in both:
+    every = [start(*which, size) for which in ((1, 0), (2, 0), (2, 1))]
+    rates = np.array([[turn(x) for x in every] for _ in range(size.rounds)]).T
+    for process in every:
         process.communicate()  # closes its stdin, which ends it
-    work = f"Kalman filter, models, {size.runs:,} runs, two cores"
-    row = Row(work, KIND, float(np.median(rates[1])), "steps/s", "one core")
-    ratio = float(np.median(rates[1] / rates[0]))
-    return [row._replace(ratio_to_peer=ratio, spread=common.spread(1 / rates[1]))]
+    made, work = [], f"Kalman filter, models, {size.runs:,} runs, two cores"
+    for name, own in zip((work, f"{work}, shared before"), rates[1:], strict=True):
+        row = Row(name, KIND, float(np.median(own)), "steps/s", "one core")
+        ratio, spread = float(np.median(own / rates[0])), common.spread(1 / own)
+        made.append(row._replace(ratio_to_peer=ratio, spread=spread))
+    return made
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--serve", nargs=3, type=int)
+    parser.add_argument("--serve", nargs=4, type=int)
     chosen = parser.parse_known_args()[0].serve
     if chosen:
         serve(*chosen)

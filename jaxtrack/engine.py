@@ -104,6 +104,26 @@ def map_runs(
     return devices.map_blocks(function, static, own, block, mesh, arguments)
 
 
+def share(runs: PyTree) -> PyTree:
+    """Puts runs on all local devices, an equal share on each, as `map_runs` has them.
+
+    It does so itself in every call; if the same runs are used again, and one takes
+    little time, as a Kalman filter does, sharing them once is worth it.
+
+    Args:
+        runs: Arrays with a leading R, a multiple of the number of devices.
+
+    Raises:
+        ValueError: R is no such multiple.
+    """
+    number, mesh = len(jax.tree.leaves(runs)[0]), devices.local_mesh()
+    if number % mesh.size:
+        raise ValueError(
+            f"there are {number} runs for {mesh.size} devices; give a multiple of them"
+        )
+    return jax.device_put(runs, devices.shares(mesh))
+
+
 def run_many(
     tracker: Tracker, params: PyTree, scans: Scan, keys: Array, block: int = 16
 ) -> PyTree:

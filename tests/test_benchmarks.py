@@ -148,6 +148,10 @@ PAGE = {
         "Kalman filter, models, 8,192 runs, two cores",
         "float32",
     ),
+    "two cores, the runs shared before": (
+        "Kalman filter, models, 8,192 runs, two cores, shared before",
+        "float32",
+    ),
 }
 
 

@@ -112,6 +112,16 @@ def test_two_devices_share_runs_that_they_cannot_share_evenly():
             result = engine.map_runs(walk, *given, in_axes=AXES, block=2)
             chex.assert_trees_all_close(result, jax.vmap(walk, AXES)(*given))
         assert len(result["end"].sharding.device_set) == 2
+        shared = engine.share(given[1:])
+        assert len(shared[0].sharding.device_set) == 2
+        same = engine.map_runs(walk, given[0], *shared, in_axes=AXES, block=2)
+        chex.assert_trees_all_close(same, result)
+        try:
+            engine.share(arguments(7)[1:])
+        except ValueError as error:
+            assert "there are 7 runs for 2 devices" in str(error)
+        else:
+            raise AssertionError
         again = engine.map_runs(walk, given[0], result["end"], given[2], in_axes=AXES)
         slope = jax.grad(lambda s: engine.map_runs(
             walk, s, *given[1:], in_axes=AXES)["end"].sum())(given[0])

@@ -61,7 +61,7 @@ def call(
     """
     mesh = local_mesh()
     each = -(-keys.size // mesh.size)
-    share = jax.device_put(again(keys, each * mesh.size), NamedSharding(mesh, MANY))
+    share = jax.device_put(again(keys, each * mesh.size), shares(mesh))
     # Explicit types, so that a Python number and an array compile alike.
     values = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), values)
     values = jax.device_put(values, NamedSharding(mesh, SAME))
@@ -99,6 +99,11 @@ def _compiled(
 def local_mesh() -> Mesh:
     """Returns all local devices in a row."""
     return Mesh(np.array(jax.local_devices()), ("runs",))
+
+
+def shares(mesh: Mesh) -> NamedSharding:
+    """Returns where arrays with a leading R lie if each device has its share."""
+    return NamedSharding(mesh, MANY)
 
 
 def spread(
