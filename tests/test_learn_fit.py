@@ -57,8 +57,8 @@ def test_standard_errors_are_those_of_the_normal_distribution():
     np.testing.assert_allclose(known.std_error["std"], expected / 2**0.5, rtol=1e-5)
     # In log(std) and mean / 0.5, its scale.
     hessian = np.diag([z.size / z.var() / 4, 2 * z.size])
-    # Off the diagonal is nothing, to differences of slopes of some 1e3.
-    np.testing.assert_allclose(known.hessian, hessian, rtol=1e-5, atol=1e-3)
+    # Differences of slopes divide their rounding, summed over 120 scans, by 1e-5.
+    np.testing.assert_allclose(known.hessian, hessian, rtol=1e-8, atol=1e-6)
 
 
 def test_history_begins_at_the_start_and_tells_every_step():
@@ -89,8 +89,8 @@ def test_all_scans_count_for_the_information_of_minibatches():
     data = slopes.gather(watched(), None, 0)
     found = information.observed(problem, start(), data, free)
     expected = closed().information.hessian
-    # Differences of slopes divide their rounding by steps of 1e-5.
-    np.testing.assert_allclose(found.hessian, expected, rtol=1e-9, atol=1e-5)
+    # Differences of slopes divide their rounding, summed over 120 scans, by 1e-5.
+    np.testing.assert_allclose(found.hessian, expected, rtol=1e-9, atol=1e-6)
 
 
 def test_information_about_nothing_is_told_as_such():
@@ -199,87 +199,6 @@ def test_a_fit_that_diverges_says_where_and_returns_the_last_finite_one():
 
 class Outer(NamedTuple):
     scan: int
-
-
-class Killed(Exception):
-    pass
-
-
-def kill(done, total, value):
-    if done == 4:
-        raise Killed
-
-
-@pytest.mark.parametrize("sizes", [{}, {"batch": 2, "window": 9}])
-def test_a_fit_that_was_killed_goes_on_and_gives_the_same_numbers(tmp_path, sizes):
-    settings = {"where": both, "num_steps": 9, "patience": 3, "errors": False, **sizes}
-    run = functools.partial(learn.fit, watcher, start(), watched(), ADAM, **settings)
-    with pytest.raises(Killed):
-        run(directory=tmp_path, progress=kill)
-    steps = []
-    again = run(directory=tmp_path, progress=lambda *told: steps.append(told[0]))
-    expected = run()
-    assert steps == list(range(5, expected.num_steps + 1))
-    chex.assert_trees_all_equal(again.history, expected.history)
-    chex.assert_trees_all_equal(again.params, expected.params)
-    # Once more nothing is left to do, and more steps may be asked for.
-    assert run(directory=tmp_path, progress=kill).num_steps == expected.num_steps
-    more = run(directory=tmp_path, num_steps=11, patience=None)
-    assert more.num_steps == 11
-
-
-def test_a_directory_holds_one_fit(tmp_path):
-    run = functools.partial(
-        learn.fit, watcher, start(), optimizer=ADAM, where=both, errors=False
-    )
-    run(scans=watched(), num_steps=2, directory=tmp_path)
-    with pytest.raises(
-        ValueError, match=r"keeps another fit \(fingerprint of code and"
-    ):
-        run(scans=watched(seed=1), num_steps=2, directory=tmp_path)
-    told = (
-        r"fit.npz keeps another fit \(seed is 0, not 1\); give another directory or r"
-    )
-    with pytest.raises(ValueError, match=told):
-        run(scans=watched(), num_steps=2, directory=tmp_path, seed=1)
-    with pytest.raises(ValueError, match="segment is 1, not 2"):
-        run(scans=watched(), num_steps=2, directory=tmp_path, segment=2)
-    with pytest.raises(ValueError, match="prior is .*, not <function likes>"):
-        run(scans=watched(), num_steps=2, directory=tmp_path, prior=likes)
-    with pytest.raises(ValueError, match="fit.npz keeps another fit .it is by anot"):
-        run(scans=watched(), num_steps=2, directory=tmp_path, optimizer=NEWTON)
-
-
-def likes(p):
-    return -(p.mean**2)
-
-
-def test_settings_that_have_no_name_are_told_apart_by_the_first_loss(tmp_path):
-    def scaled(scale):
-        def step(*given):
-            return scaled_watch(scale, *given)
-
-        return watcher._replace(step=step)
-
-    run = functools.partial(
-        learn.fit, params=start(), scans=watched(), optimizer=ADAM, where=both
-    )
-    settings = {"num_steps": 1, "directory": tmp_path, "errors": False}
-    first = run(scaled(1.0), **settings)
-    with pytest.raises(
-        ValueError, match=r"another fit \(the first loss is 1\.\d+, not"
-    ):
-        run(scaled(1.001), **settings)
-    bound = watcher._replace(step=functools.partial(scaled_watch, 1.0))
-    with pytest.raises(ValueError, match=r"another fit \(tracker is "):
-        run(bound, **settings)
-    again = run(scaled(1.0), **settings)
-    chex.assert_trees_all_equal(again.history, first.history)
-
-
-def scaled_watch(scale, params, state, scan):
-    state, told = watcher.step(params, state, scan)
-    return state, told._replace(log_evidence=scale * told.log_evidence)
 
 
 def with_truth(estimates, scans, truth):
