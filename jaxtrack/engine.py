@@ -94,14 +94,24 @@ def map_runs(
         raise ValueError(f"block is {block}; give at least 1 run")
     own = tuple(axis == 0 for axis in axes)
     runs = [x for x, mine in zip(arguments, own, strict=True) if mine]
-    numbers = sorted({(*jnp.shape(x), 0)[0] for x in jax.tree.leaves(runs)})
-    if len(numbers) != 1 or not numbers[0]:
-        raise ValueError(
-            f"the arguments are of {', '.join(map(str, numbers))} runs; give as "
-            "many of each, and at least 1"
-        )
+    _count(runs)
     mesh = devices.local_mesh()
     return devices.map_blocks(function, static, own, block, mesh, arguments)
+
+
+def _count(runs: PyTree) -> int:
+    """Returns R, of which all arrays have as many.
+
+    Raises:
+        ValueError: They have not, or there is none.
+    """
+    numbers = sorted({(*jnp.shape(x), 0)[0] for x in jax.tree.leaves(runs)})
+    if len(numbers) != 1 or not numbers[0]:
+        told = ", ".join(map(str, numbers)) or "no"
+        raise ValueError(
+            f"the arguments are of {told} runs; give as many of each, and at least 1"
+        )
+    return numbers[0]
 
 
 def share(runs: PyTree) -> PyTree:
@@ -114,9 +124,9 @@ def share(runs: PyTree) -> PyTree:
         runs: Arrays with a leading R, a multiple of the number of devices.
 
     Raises:
-        ValueError: R is no such multiple.
+        ValueError: R is no such multiple, or the arrays differ in it.
     """
-    number, mesh = len(jax.tree.leaves(runs)[0]), devices.local_mesh()
+    number, mesh = _count(runs), devices.local_mesh()
     if number % mesh.size:
         raise ValueError(
             f"there are {number} runs for {mesh.size} devices; give a multiple of them"

@@ -99,6 +99,19 @@ def test_many_runs_of_a_tracker_are_those_of_single_ones():
         chex.assert_trees_all_close(told, one)
 
 
+@pytest.mark.parametrize(
+    ("runs", "told"),
+    [
+        ((), "of no runs"),
+        (np.ones(()), "of 0 runs"),
+        ((np.ones(3), np.ones(4)), "of 3, 4 runs"),
+    ],
+)
+def test_what_cannot_be_shared(runs, told):
+    with pytest.raises(ValueError, match=told):
+        engine.share(runs)
+
+
 def test_two_devices_share_runs_that_they_cannot_share_evenly():
     script = """
         import jax
