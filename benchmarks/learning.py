@@ -353,7 +353,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     every = cases()
     if unknown := set(given.only or every) - set(every):
-        parser.error(f"no case is {min(unknown)}; there are {', '.join(every)}")
+        parser.error(f"no case is {min(unknown)}; there are {'; '.join(every)}")
     fits, sizes = [], {}
     for name in given.only or every:
         case = every[name]()
