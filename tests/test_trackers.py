@@ -17,6 +17,7 @@ from cases.trackers import (
     SCANS,
     SECOND_VARIANTS,
     SLOTS,
+    TRAJECTORIES,
     case_of,
     random_scans,
     tracker_of,
@@ -52,6 +53,9 @@ EQUAL_BIRTHS = {
     *HYPOTHESES,
 }
 every_tracker = pytest.mark.parametrize("name", NAMES)
+every_trajectory_tracker = pytest.mark.parametrize(
+    "name", [name for name in NAMES if name.values[0] in TRAJECTORIES]
+)
 every_certain_tracker = pytest.mark.parametrize(
     "name", [name for name in NAMES if name.values[0] not in SAMPLED]
 )
@@ -238,3 +242,49 @@ def test_float32_is_near_float64(name):
     std = np.sqrt(np.diagonal(fine.cov[fine.exists], axis1=1, axis2=2))
     gap = (rough.mean[fine.exists] - fine.mean[fine.exists]) / std
     np.testing.assert_allclose(gap, 0, atol=0.02)
+
+
+def reported(paths):
+    """What is said of the scans in which the targets were, and nothing of the rest."""
+    there = paths.alive
+    return paths._replace(
+        mean=paths.mean[there],
+        cov=paths.cov[there],
+        filtered=paths.filtered[there],
+        label=np.where(there.any(2), paths.label, -1),
+    )
+
+
+@every_trajectory_tracker
+def test_paths_are_the_same_in_a_batch_with_padding(name):
+    one, many = alone(name)[0][1].paths, batched(name).variant["base"].paths
+    assert one.alive.any(2).sum() > SCANS
+    # Where it is nearly sure that nobody was, of probabilities.
+    chex.assert_trees_all_close(reported(one), reported(many), rtol=1e-8, atol=1e-10)
+
+
+@every_trajectory_tracker
+def test_paths_end_with_what_is_reported_of_the_scan(name):
+    told = alone(name)[0][1]
+    paths = told.paths
+    np.testing.assert_array_equal(paths.label, told.label)
+    now = paths.alive[:, :, -1]
+    assert now.any()
+    np.testing.assert_allclose(paths.mean[:, :, -1][now], told.mean[now], rtol=1e-12)
+    np.testing.assert_allclose(paths.cov[:, :, -1][now], told.cov[now], rtol=1e-12)
+    # Whoever was there in a scan was so in all since the beginning.
+    begun = (paths.alive_prob > 0)[:, :, :-1]
+    rise = np.diff(paths.alive_prob, axis=2)[begun]
+    assert (rise < 1e-12).all()  # roundings of probabilities
+
+
+@every_trajectory_tracker
+def test_paths_in_float32_are_near_those_in_float64(name):
+    rough, fine = in_float32(name).paths, alone(name)[0][1].paths
+    assert rough.mean.dtype == np.float32
+    np.testing.assert_array_equal(rough.alive, fine.alive)
+    # Of probabilities, by some scans of rounding errors, as above.
+    np.testing.assert_allclose(rough.alive_prob, fine.alive_prob, atol=3e-3)
+    std = np.sqrt(np.diagonal(fine.cov[fine.alive], axis1=1, axis2=2))
+    gap = (rough.mean[fine.alive] - fine.mean[fine.alive]) / std
+    np.testing.assert_allclose(gap, 0, atol=0.02)  # standard deviations, as above

@@ -15,6 +15,8 @@ from jaxtrack.trackers import (
     mht,
     pmbm,
     rmm_mht,
+    tmbm,
+    tpmbm,
     undetected,
 )
 
@@ -84,6 +86,27 @@ def glmb_case():
     )
 
 
+def trajectory_case(target, params, num_modes):
+    """A window of a scan, and one more that is smoothed."""
+    room = {"num_scans": 1, "lag": 1, "max_hypotheses": 8}
+    return line_case(tpmbm.tpmbm, target, params, num_modes, **room)
+
+
+def born_case():
+    """Trajectories that begin with a birth, at most one at a place."""
+    room = {"num_scans": 1, "lag": 1, "max_hypotheses": 8}
+    plain = trackers.line_case(single.single(), trackers.single_params(), 1)
+    places = trackers.line_births(1)
+    return plain._replace(
+        make=functools.partial(tmbm.tmbm, single.single()),
+        params=line_params(trackers.single_params(), 1)._replace(
+            birth=places, undetected=None
+        ),
+        capacities={"max_tracks": 4, "max_leaves": 4, **room},
+        large={"max_tracks": 16, "max_leaves": 8, **room},
+    )
+
+
 CASES = {
     "hypothesis_mht": lambda: line_case(
         hypothesis_mht.hypothesis_mht,
@@ -114,4 +137,7 @@ CASES = {
     ),
     "rmm_mht": rmm_case,
     "glmb": glmb_case,
+    "tpmbm": lambda: trajectory_case(single.single(), trackers.single_params(), 1),
+    "tpmbm_imm": lambda: trajectory_case(imm.imm(), trackers.two_mode_params(), 2),
+    "tmbm": born_case,
 }

@@ -256,8 +256,13 @@ HYPOTHESES = (
     "rmm_mht",
     "pmbm",
     "glmb",
+    "tpmbm",
+    "tpmbm_imm",
+    "tmbm",
 )
 CASES |= {name: functools.partial(hypothesis_case, name) for name in HYPOTHESES}
+# They report where targets have been, too.
+TRAJECTORIES = "tpmbm", "tpmbm_imm", "tmbm"
 # Slopes stop where particles are resampled, and other digits draw other numbers.
 SAMPLED = {"cbmember_particles", "glmb"}
 # They compile for long.
@@ -266,6 +271,7 @@ SECOND_VARIANTS = {
     "rmm_mht",
     "glmb",
     "lmb",
+    "tpmbm_imm",
 }
 
 
