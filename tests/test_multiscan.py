@@ -21,7 +21,7 @@ SOLVERS = {
     "greedy": greedy.greedy,
     "lagrangian": lagrangian.lagrangian,
     "lagrangian, one scan kept": functools.partial(lagrangian.lagrangian, keep=-1),
-    "decomposition": decomposition.decomposition,
+    "decomposition": functools.partial(decomposition.decomposition, max_nodes=0),
 }
 
 

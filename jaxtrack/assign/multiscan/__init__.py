@@ -17,6 +17,7 @@ those of `host`, which call SciPy.
 
 from jaxtrack.assign.multiscan import (
     beam,
+    branching,
     decomposition,
     entropic,
     greedy,
@@ -32,6 +33,7 @@ from jaxtrack.assign.multiscan import (
 
 __all__ = [
     "beam",
+    "branching",
     "decomposition",
     "entropic",
     "greedy",

@@ -4,7 +4,8 @@ Every scan has its own copy of the selection, in which only its own detections a
 apart: an assignment of trees to detections in two dimensions, in which each tree and
 detection is represented by its best leaf. The scores are shared out over the copies,
 by multipliers that move until the copies agree (equations 36 to 46). What all copies
-agree on is kept, and other trees choose among the leaves that are left.
+agree on is kept, and other trees choose among the leaves that are left. Where rounds
+end and a gap remains, branch and bound decides (`branching`).
 
 The least bound is the value of the linear relaxation (`relax`), as for `lagrangian`.
 
@@ -16,9 +17,6 @@ The least bound is the value of the linear relaxation (`relax`), as for `lagrang
     >>> found = decomposition.decomposition(given, num_detections=2)
     >>> print(found.leaf, found.log_score, jnp.round(found.log_bound, 3))
     [0 1] 7.0 7.0
-
-Unlike the paper, trees on which the copies differ are not given leaves by branch and
-bound but by `greedy`, in the order of what they have to lose.
 
 References: Xia, Granstrom, Svensson, Garcia-Fernandez and Williams, "Multiscan
 implementation of the trajectory Poisson multi-Bernoulli mixture filter", Journal of
@@ -32,7 +30,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.assign.best import best
-from jaxtrack.assign.multiscan import greedy
+from jaxtrack.assign.multiscan import branching, greedy
 from jaxtrack.assign.multiscan.lagrangian import PATIENCE, SHORTER
 from jaxtrack.assign.multiscan.problem import Answer, Problem, answer
 from jaxtrack.assign.multiscan.slots import (
@@ -81,8 +79,9 @@ def decomposition(
     tolerance: float = 1e-6,
     price: Array | None = None,
     leaf: Array | None = None,
+    max_nodes: int = 1000,
 ) -> Answer:
-    """Moves multipliers until the scans agree, or there are no rounds left.
+    """Moves multipliers until the scans agree, then branches on what they leave.
 
     The gradient of `log_score` is that of the chosen scores; the rest is constant.
 
@@ -95,6 +94,7 @@ def decomposition(
         price: What detections may cost, to begin with, [S, K]; 0 if None. A good guess
             saves rounds.
         leaf: A feasible selection, to begin with, [N]; None if none is known.
+        max_nodes: Of branch and bound, in each cluster with a gap; 0 for none of it.
 
     Raises:
         ValueError: There is no round.
@@ -112,7 +112,10 @@ def decomposition(
         lambda state: _round(given, num_detections, state),
         _start(given, num_detections, price, leaf),
     )
-    return answer(problem, state.leaf, state.price)
+    found = answer(problem, state.leaf, state.price)
+    if not max_nodes:
+        return found
+    return branching.branch(problem, num_detections, found, max_nodes, tolerance)
 
 
 def _start(

@@ -58,7 +58,8 @@ class Answer(NamedTuple):
             what is lost.
         feasible: Whether every tree found a leaf and no detection is used twice (bool).
             Another solver may find leaves where this one did not.
-        price: Of each detection, at which `log_bound` holds, [S, K].
+        price: Of each detection, at which `log_bound` holds, [S, K]; branch and bound
+            may have lowered it since.
     """
 
     leaf: Array

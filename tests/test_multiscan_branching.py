@@ -1,0 +1,96 @@
+"""Tests of `assign.multiscan.branching` against enumeration of all selections.
+
+Sums of scores of order ten may be zero, so bounds on them are absolute.
+"""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+from reference import multiscan as reference
+
+from jaxtrack.assign.multiscan import branching, decomposition, greedy, problem
+
+NUM, TREES, LEAVES, SCANS, K = 80, 5, 5, 3, 4
+EXACT = 1e-10  # of sums of order ten
+
+
+@functools.cache
+def drawn():
+    """Random problems, half of them with ties, and the best of all selections."""
+    rng = np.random.default_rng(5)
+    pairs = [
+        reference.draw(rng, TREES, LEAVES, SCANS, K, rounded=k % 2 == 0)
+        for k in range(NUM)
+    ]
+    every = (dict(reference.selections(*x)).values() for x in pairs)
+    best = [max(x, default=-np.inf) for x in every]
+    given = problem.Problem(*(np.array(x) for x in zip(*pairs, strict=True)))
+    return given, np.array(best)
+
+
+def without_prices(given, max_nodes):
+    known = greedy.greedy(given, K)
+    return known, branching.branch(given, K, known, max_nodes)
+
+
+def with_prices(given, max_nodes):
+    known = decomposition.decomposition(given, K, max_rounds=2, max_nodes=0)
+    return known, branching.branch(given, K, known, max_nodes)
+
+
+@functools.cache
+def found(how, max_nodes):
+    solve = jax.jit(jax.vmap(functools.partial(how, max_nodes=max_nodes)))
+    return jax.tree.map(np.asarray, solve(drawn()[0]))
+
+
+@pytest.mark.parametrize("how", [without_prices, with_prices])
+def test_a_search_that_ends_finds_the_best(how):
+    given, best = drawn()
+    known, after = found(how, 1000)
+    np.testing.assert_array_equal(after.feasible, known.feasible)
+    begun = known.feasible
+    assert begun.mean() > 0.8
+    assert (known.log_score < best - EXACT)[begun].mean() > 0.1
+    np.testing.assert_allclose(after.log_score[begun], best[begun], atol=EXACT)
+    # What is below the tolerance of 1e-6 is not looked at.
+    np.testing.assert_allclose(after.log_bound[begun], best[begun], atol=2e-6)
+    for k in np.nonzero(begun)[0]:
+        one = jax.tree.map(lambda x, k=k: x[k], given)
+        possible, total = reference.feasible(after.leaf[k], *one)
+        assert possible
+        np.testing.assert_allclose(total, after.log_score[k], atol=EXACT)
+    # Without a selection to begin with nothing changes.
+    for field in ("leaf", "log_score", "log_bound", "price"):
+        pair = getattr(known, field), getattr(after, field)
+        np.testing.assert_array_equal(*(x[~begun] for x in pair))
+
+
+@pytest.mark.parametrize("how", [without_prices, with_prices])
+def test_one_that_runs_out_of_nodes_says_what_it_may_have_lost(how):
+    _, best = drawn()
+    known, after = found(how, 8)
+    assert (after.log_bound >= best - EXACT).all()
+    assert (after.log_bound <= known.log_bound + EXACT).all()
+    assert (after.log_score >= known.log_score - EXACT).all()
+    open_gap = after.log_bound > after.log_score + 1e-5
+    assert open_gap[known.feasible].any()
+
+
+def test_dual_decomposition_finds_the_best():
+    given, best = drawn()
+    solve = functools.partial(decomposition.decomposition, num_detections=K)
+    after = jax.jit(jax.vmap(solve))(given)
+    there = np.asarray(after.feasible)
+    assert there.mean() > 0.9
+    # It is content with a gap of 1e-6.
+    np.testing.assert_allclose(after.log_score[there], best[there], atol=2e-6)
+
+
+def test_a_search_needs_nodes():
+    given = jax.tree.map(lambda x: x[0], drawn()[0])
+    known = greedy.greedy(given, K)
+    with pytest.raises(ValueError, match="max_nodes is 0; give at least 1"):
+        branching.branch(given, K, known, max_nodes=0)
