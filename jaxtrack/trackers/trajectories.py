@@ -69,17 +69,17 @@ class Trajectories(NamedTuple):
     dropped: Array
 
 
-def ended(alive_prob: Array, begun: Array) -> Array:
+def ended(alive_prob: Array, begun: Array, older: Array | bool = False) -> Array:
     """Tells in which of W scans a target was there, by its likeliest end, [W] (bool).
 
     Args:
         alive_prob: That it was there, [W].
         begun: From where on, [W] (bool).
+        older: Whether it began before the window, and so may have ended there, too.
     """
     after = jnp.append(alive_prob[1:], 0.0)
     at_end = jnp.where(begun, alive_prob - after, -1.0)
-    # It may have ended before the window, or never have been.
-    before = 1 - jnp.where(begun, alive_prob, 0.0).max()
+    before = jnp.where(older, 1 - jnp.where(begun, alive_prob, 0.0).max(), 0.0)
     last = jnp.where(at_end.max() >= before, jnp.argmax(at_end), -1)
     return begun & (jnp.arange(begun.size) <= last)
 
@@ -120,7 +120,8 @@ def paths(
         there, jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan), 0.0
     )
     reported = (best >= 0) & (prob.max(1) > threshold)
-    alive = jax.vmap(ended)(prob, there) & reported[:, None]
+    older = trees.age > jnp.minimum(history.num, size)
+    alive = jax.vmap(ended)(prob, there, older) & reported[:, None]
     return Paths(moments.mean, moments.cov, before, prob, alive, trees.label)
 
 

@@ -1,0 +1,200 @@
+"""Tests of `tpmbm` and `tmbm` against all hypotheses, with all their trajectories."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import small_scenes as scenes
+from reference import histories
+from test_tpmbm import ALL, FEW, POISSON, ROOM, run
+
+from jaxtrack.models.birth import MultiBernoulliBirth
+from jaxtrack.models.probability import PerMode
+from jaxtrack.models.switching import MarkovSwitching
+from jaxtrack.targets import imm
+from jaxtrack.trackers import mbm, pmbm, tmbm, tpmbm
+
+pytestmark = pytest.mark.usefixtures("whole_matrices")
+
+KINDS = "poisson", "multi-Bernoulli", "certain"
+THRESHOLD, MOST = 0.5, 20
+SIZES, NUM = (2, 1, 2), 30  # FEW where hypotheses say more
+BIRTH = 0.3  # probability, where births are multi-Bernoulli
+BORN = {"max_tracks": 3, "max_leaves": 20}
+CERTAIN = {"max_tracks": 3, "max_leaves": 12}
+SMALL = {"max_tracks": 3, "max_leaves": 4, "max_undetected": 3, "max_hypotheses": 8}
+PAIRS = {
+    "poisson": (
+        tpmbm.tpmbm(scenes.target, max_hypotheses=128, **ALL, **POISSON),
+        pmbm.pmbm(
+            scenes.target, max_hypotheses=32, exist_threshold=0.0, **ROOM, **POISSON
+        ),
+    ),
+    "multi-Bernoulli": (
+        tmbm.tmbm(scenes.target, max_hypotheses=150, **ALL, **BORN),
+        mbm.mbm(scenes.target, max_hypotheses=150, exist_threshold=0.0, **ROOM, **BORN),
+    ),
+    "certain": (
+        tmbm.tmbm(scenes.target, max_hypotheses=200, certain=True, **ALL, **CERTAIN),
+        mbm.mbm01(scenes.target, max_hypotheses=200, **ROOM, **CERTAIN),
+    ),
+    "poisson, two modes": (
+        tpmbm.tpmbm(imm.imm(), **ALL, **SMALL),
+        pmbm.pmbm(imm.imm(), exist_threshold=0.0, **ROOM, **SMALL),
+    ),
+}
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+def params_of(drawn, kind):
+    params = scenes.params_of(drawn)
+    if kind == "poisson":
+        return params
+    if kind == "poisson, two modes":
+        return two_modes(params)
+    births = MultiBernoulliBirth(jnp.array([BIRTH]), *params.birth[1:])
+    return params._replace(birth=births, undetected=None)
+
+
+def two_modes(params):
+    """Targets are fast or slow, and the slow ones are seen and survive less often."""
+    own, share = params.target, jnp.array([[0.7, 0.3]])
+    slow = own.motion._replace(time_constant=2.5 * own.motion.time_constant)
+    survive, detect = own.survive.value, own.detect.value
+    factor = jnp.array([1.0, 0.8])
+    bank = imm.Params(
+        (own.motion, slow),
+        MarkovSwitching(jnp.array([[0.8, 0.2], [0.35, 0.65]])),
+        own.sensor,
+        PerMode(survive * factor),
+        PerMode(detect * factor),
+    )
+    births, hidden = (x._replace(mode_prob=share) for x in (params.birth, params[3]))
+    return params._replace(target=bank, birth=births, undetected=hidden)
+
+
+@functools.cache
+def drawn(sizes):
+    problems = scenes.stacked([scenes.draw(seed) for seed in range(NUM)])
+    return problems, scenes.stacked([scenes.detections(k, sizes) for k in range(NUM)])
+
+
+def sizes_of(kind):
+    return FEW if kind in ("certain", "poisson, two modes") else SIZES
+
+
+@functools.cache
+def found(kind):
+    """What the tracker and that of single scans report, of all problems."""
+
+    def both(drawn, places):
+        params = params_of(drawn, kind)
+        scans = scenes.stacked(scenes.padded(places))
+        return [run(tracker, params, scans) for tracker in PAIRS[kind]]
+
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(*drawn(sizes_of(kind))))
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_with_room_for_all_it_is_the_filter_of_single_scans(kind):
+    """Which is compared with all hypotheses, or sets, in tests of its own."""
+    several, single = found(kind)
+    for field in ("log_evidence", "num_mean", "num_var"):
+        given = getattr(several, field), getattr(single, field)
+        np.testing.assert_allclose(*given, rtol=1e-10)
+    # Roundings of sums of order one.
+    assert (abs(several.dropped) < 1e-12).all()
+    if kind != "certain":  # it says when targets ended, which mbm01 forgets
+        most = min(several.hypothesis_prob.shape[2], single.hypothesis_prob.shape[2], 8)
+        given = (x.hypothesis_prob[..., :most] for x in (several, single))
+        np.testing.assert_allclose(*given, atol=1e-10)  # of probabilities
+    for label in range(sum(SIZES)):
+        there = (
+            np.where(x.label == label, x.existence_prob, 0.0).sum(2)
+            for x in (several, single)
+        )
+        np.testing.assert_allclose(*there, atol=1e-12)  # of probabilities
+
+
+@functools.cache
+def known(kind):
+    """What there is to know after each scan, of all problems."""
+    answers = []
+    for seed in range(NUM):
+        drawn = scenes.draw(seed)
+        model = scenes.model_of(drawn, prob=BIRTH)
+        scans = scenes.detections(seed, sizes_of(kind))
+        for t in range(len(scans)):
+            past = scans[: t + 1]
+            answers.append(
+                (seed, t, past, model, histories.posterior(past, model, kind, MOST))
+            )
+    return answers
+
+
+def labelled(label, values, num):
+    """Values of the tracks of labels 0, 1, ..., and 0 where there is no such track."""
+    rows = np.zeros((num, *values.shape[1:]), values.dtype)
+    for here, value in zip(label, values, strict=True):
+        if 0 <= here < num:
+            rows[here] = value
+    return rows
+
+
+@every_kind
+def test_hypotheses_weigh_what_all_of_them_do(kind):
+    told = found(kind)[0]
+    evidence = told.log_evidence.cumsum(1)
+    for seed, t, _, _, expected in known(kind):
+        np.testing.assert_allclose(evidence[seed, t], expected.log_evidence, rtol=1e-10)
+        prob = told.hypothesis_prob[seed, t]
+        most = min(len(prob), len(expected.prob))
+        # Of probabilities; some are equal, and none in others' places.
+        np.testing.assert_allclose(prob[:most], expected.prob[:most], atol=1e-10)
+        assert (prob[most:] < 1e-10).all()
+
+
+@every_kind
+def test_targets_are_as_likely_as_all_hypotheses_say(kind):
+    told = found(kind)[0]
+    for seed, t, _, _, expected in known(kind):
+        number = np.arange(MOST)
+        mean = expected.num_prob @ number
+        var = expected.num_prob @ number**2 - mean**2
+        np.testing.assert_allclose(told.num_mean[seed, t], mean, rtol=1e-9)
+        np.testing.assert_allclose(told.num_var[seed, t], var, rtol=1e-8)
+        there = labelled(
+            told.label[seed, t], told.existence_prob[seed, t], len(expected.best)
+        )
+        # Of probabilities.
+        np.testing.assert_allclose(there, expected.existence_prob, atol=1e-10)
+
+
+@every_kind
+def test_paths_are_those_of_the_best_hypothesis(kind):
+    """Where each target was, how likely in each scan, and when it most likely ended."""
+    paths, shown = found(kind)[0].paths, 0
+    for seed, t, scans, model, expected in known(kind):
+        window = slice(-t - 1, None)
+        label, num = paths.label[seed, t], len(expected.best)
+        one = [getattr(paths, name)[seed, t][:, window] for name in paths._fields[:5]]
+        mean, cov, _, prob, alive = (labelled(label, x, num) for x in one)
+        for track, history in enumerate(expected.best):
+            if history is None:
+                assert not alive[track].any()
+                continue
+            # Of probabilities.
+            np.testing.assert_allclose(prob[track], history.alive_prob, atol=1e-10)
+            reported = history.alive_prob.max() > THRESHOLD
+            last = np.argmax(history.ends) if reported else -1
+            scan = np.arange(t + 1)
+            there = (scan >= history.since) & (scan <= last)
+            np.testing.assert_array_equal(alive[track], there)
+            means, covs = histories.path(history, scans, model)
+            # Of some metres, by some inverses of matrices.
+            np.testing.assert_allclose(mean[track][there], means[there], atol=1e-9)
+            np.testing.assert_allclose(cov[track][there], covs[there], atol=1e-9)
+            shown += there.any()
+    assert shown > NUM
