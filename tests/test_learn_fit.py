@@ -1,6 +1,7 @@
 """Fits, against closed forms and against a plain filter with SciPy's optimiser."""
 
 import functools
+import math
 from typing import NamedTuple
 
 import chex
@@ -15,7 +16,7 @@ from cases.trackers import case_of, random_scans, tracker_of
 
 from jaxtrack import learn
 from jaxtrack.learn import information, leaves, sizes, slopes
-from jaxtrack.learn.loss import evidence
+from jaxtrack.learn.loss import evidence, held_out
 from jaxtrack.models import motion, sensor
 from jaxtrack.types import Scans
 
@@ -136,6 +137,28 @@ def test_a_prior_pulls_towards_what_it_likes():
         num_steps=40,
     )
     z = watched().detections
+    precision = z.size / 0.49
+    expected = (z.mean() * precision + 3.0 * 100) / (precision + 100)
+    np.testing.assert_allclose(fit.params.mean, expected, rtol=1e-6)
+    error = fit.information.std_error["mean"]
+    np.testing.assert_allclose(error, (precision + 100) ** -0.5, rtol=1e-5)
+
+
+def test_only_what_is_held_out_counts_for_errors_and_against_a_prior():
+    def prior(p):
+        return -((p.mean - 3.0) ** 2) / 2 / 0.01
+
+    fit = learn.fit(
+        watcher,
+        start(std=0.7),
+        watched(),
+        NEWTON,
+        where=lambda p: p.mean,
+        loss=held_out(0.3),
+        prior=prior,
+        num_steps=40,
+    )
+    z = watched().detections[:, -math.ceil(0.3 * SCANS) :]
     precision = z.size / 0.49
     expected = (z.mean() * precision + 3.0 * 100) / (precision + 100)
     np.testing.assert_allclose(fit.params.mean, expected, rtol=1e-6)

@@ -127,6 +127,13 @@ def test_held_out_scans_are_the_last_ones():
         loss.held_out(0)
 
 
+def test_it_is_told_of_how_many_scans_a_loss_is_the_evidence():
+    assert loss.counted(loss.evidence, 10) == 10
+    assert loss.counted(loss.held_out(0.21), 10) == 3
+    assert loss.counted(loss.gospa(INDEX, CUTOFF), 10) is None
+    assert loss.counted(lambda estimates, scans: 0.0, 10) is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [((0.0,), "cutoff is 0.0"), ((1.0, 0.5), "order"), ((1.0, 2.0, 0), "temperature")],

@@ -41,7 +41,7 @@ from jaxtrack.learn import (
 )
 from jaxtrack.learn.history import History
 from jaxtrack.learn.information import Information
-from jaxtrack.learn.loss import Loss, evidence
+from jaxtrack.learn.loss import Loss, counted, evidence
 from jaxtrack.types import Array, PyTree, Tracker
 
 __all__ = [
@@ -71,7 +71,8 @@ class Fit(NamedTuple):
             be compared, and after a divergence the last ones that were finite.
         history: What it came through.
         information: Standard errors of what was learned by path, and what they follow
-            from; None where the loss is not the evidence, or there was no step.
+            from; None where the loss is not the evidence, of all scans or of those
+            held out, or there was no step.
         num_steps: How many steps it took.
         stopped: "converged", "diverged" or "out of steps".
         message: The same in a sentence.
@@ -197,6 +198,6 @@ def fit(
     free = end.places[loop.best_of(told, last)].free
     found = jax.jit(leaves.constrain, static_argnums=0)(plan, params, free)
     known = None
-    if errors and loss is evidence:
+    if errors and counted(loss, total) is not None:
         known = information.observed(problem, params, data, free)
     return Fit(found, told, known, len(told.loss), end.stopped, end.message)

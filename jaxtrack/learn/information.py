@@ -58,7 +58,8 @@ def observed(
     """Measures the information at free numbers, by 2 n gradients.
 
     Args:
-        problem: With the loss `loss.evidence`; all of the data count.
+        problem: With a loss that is log-evidence, see `loss.counted`; all of the data
+            count, but for the scans that come before those held out.
         params: Those at the start.
         data: Of all recordings.
         free: Where.
@@ -78,7 +79,7 @@ def observed(
         move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
         ahead, back = gradient(centre + move), gradient(centre - move)
         columns.append((ahead - back).astype(float) / (2 * float(size)))
-    hessian = slopes.num_scans(data) * np.array(columns)
+    hessian = slopes.num_scans(whole, data) * np.array(columns)
     hessian = (hessian + hessian.T) / 2
     rate = _jacobian(problem.plan, params, free)
     tolerance = 10 * float(np.sqrt(np.finfo(centre.dtype).eps))

@@ -58,12 +58,24 @@ def held_out(fraction: float) -> Loss:
     if not 0 < fraction <= 1:
         raise ValueError(f"fraction is {fraction}; give a number above 0, at most 1")
 
-    def loss(estimates: Any, scans: Any) -> Array:
-        del scans
-        told = estimates.log_evidence
-        return -told[-math.ceil(fraction * len(told)) :].mean()
+    return functools.partial(_held_out, fraction)
 
-    return loss
+
+def counted(loss: Loss, num_scans: int) -> int | None:
+    """Returns of how many scans of a recording a loss is the negative log-evidence.
+
+    Args:
+        loss: `evidence`, one of `held_out`, or any other.
+        num_scans: T.
+
+    Returns:
+        How many, of which the loss is the mean; None for any other loss.
+    """
+    if loss is evidence:
+        return num_scans
+    if isinstance(loss, functools.partial) and loss.func is _held_out:
+        return math.ceil(loss.args[0] * num_scans)
+    return None
 
 
 @functools.cache
@@ -120,6 +132,12 @@ def ospa(
         return cutoff * assignment.root(power, order)
 
     return functools.partial(_mean_over_scans, scan, position_index)
+
+
+def _held_out(fraction: float, estimates: Any, scans: Any) -> Array:
+    del scans
+    told = estimates.log_evidence
+    return -told[-math.ceil(fraction * len(told)) :].mean()
 
 
 def _mean_over_scans(

@@ -16,11 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxtrack import engine
 from jaxtrack.learn import leaves, segments
-from jaxtrack.learn.loss import Loss
+from jaxtrack.learn.loss import Loss, counted
 from jaxtrack.types import Array, PyTree, Tracker
 
 
@@ -128,7 +127,7 @@ def value_of(
         return each.mean()
     density = problem.prior(params)
     _check_scalar("prior", density)
-    return each.mean() - density / num_scans(data)
+    return each.mean() - density / num_scans(problem, data)
 
 
 def is_noisy(problem: Problem) -> bool:
@@ -136,9 +135,12 @@ def is_noisy(problem: Problem) -> bool:
     return problem.batch is not None or problem.window is not None
 
 
-def num_scans(data: Data) -> int:
-    """Returns how many scans there are in all recordings."""
-    return int(np.prod(jax.tree.leaves(data.scans)[0].shape[:2]))
+def num_scans(problem: Problem, data: Data) -> int:
+    """Returns how many scans of all recordings the loss is a mean of."""
+    number, total = jax.tree.leaves(data.scans)[0].shape[:2]
+    # With windows each scan comes to be among the last ones of some.
+    told = counted(problem.loss, total) if problem.window is None else None
+    return number * (total if told is None else told)
 
 
 def pick(key: Array, data: Data, batch: int | None, window: int | None) -> Data:
