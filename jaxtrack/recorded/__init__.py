@@ -11,6 +11,7 @@ True
 """
 
 from jaxtrack.recorded import (
+    fitted,
     guess,
     picture,
     reading,
@@ -19,4 +20,4 @@ from jaxtrack.recorded import (
     tracking,
 )
 
-__all__ = ["guess", "picture", "reading", "scoring", "settings", "tracking"]
+__all__ = ["fitted", "guess", "picture", "reading", "scoring", "settings", "tracking"]
