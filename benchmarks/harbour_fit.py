@@ -1,0 +1,405 @@
+"""What does a fit find in the harbour, and does it track better than settings by hand?
+
+Detections of ships in the middle of New York harbour, an hour in two halves of thirty
+scans. All numbers of `jaxtrack/recorded/harbour.toml` that the evidence knows are
+fitted on one half, from these settings and from such that are off by a factor of three,
+and held against the other half: evidence, and the scores of `jaxtrack track`. The
+identities of the ships are for the scores alone.
+
+Not in `make bench`: each fit takes minutes. What is done is kept in `--out`, so that a
+stopped command goes on (remove it when something is changed); the table of
+`docs/learning.md`, the settings that were found and a picture are written there.
+
+    python -m benchmarks.harbour_fit --out harbour_fit
+"""
+
+import argparse
+import functools
+import json
+import pathlib
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxtrack import start
+
+LOW, SIDE = (-4000.0, -4500.0), 8000.0  # m, the corner of the box and its sides
+ROOM = {"max_tracks": 140, "max_births": 48, "gate_prob": 1 - 1e-6}
+SLOTS = 48  # of a scan; the fullest has 47 detections
+SETTLED = 0.8  # share of the scans that count, after tracks have begun in the others
+STEPS = 40
+FITS = ("by hand", "first"), ("off", "first"), ("by hand", "second")
+
+
+class Half(NamedTuple):
+    """Half of the recording: its table of detections, its scans, and these for jax."""
+
+    table: Any
+    scans: Any
+    scan: Any
+
+
+class Case(NamedTuple):
+    """What is fitted.
+
+    Attributes:
+        tracker: Its `Params` are `recorded.fitted.Numbers`.
+        settings: Those by hand, none open.
+        motion: A motion model, which says where positions and velocities stand.
+        halves: By name.
+    """
+
+    tracker: Any
+    settings: Any
+    motion: Any
+    halves: dict[str, Half]
+
+
+def within(table: Any, inside: Any) -> Any:
+    """Returns the rows of a table that are inside, a mask [n]."""
+    other = {name: column[inside] for name, column in table.other.items()}
+    return table._replace(time=table.time[inside], xy=table.xy[inside], other=other)
+
+
+def harbour() -> tuple[Any, Any]:
+    """Returns the ships in the box, and the settings with their share of the rates."""
+    from jaxtrack.data import files
+    from jaxtrack.recorded import reading
+    from jaxtrack.recorded.settings import known
+
+    every = files.read_detections(files.harbour_path())
+    inside = ((every.xy > LOW) & (every.xy < np.add(LOW, SIDE))).all(1)
+    chosen, share = reading.harbour(), float(inside.mean())
+    sensor, targets = chosen.sensor, chosen.targets
+    return within(every, inside), chosen._replace(
+        sensor=sensor._replace(clutter_rate=sensor.clutter_rate * share),
+        targets=targets._replace(birth_rate=known(targets.birth_rate) * share),
+        scans=chosen.scans._replace(max_detections=SLOTS),
+        tracker=chosen.tracker._replace(**ROOM),
+    )
+
+
+def make(table: Any, settings: Any, name: str) -> Case:
+    """Makes the case of a tracker.
+
+    Args:
+        table: Detections of both halves.
+        settings: By hand, with a period.
+        name: The tracker's, of `recorded.settings.ALGORITHMS`.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from jaxtrack.recorded import fitted, guess, tracking
+    from jaxtrack.recorded import settings as kinds
+
+    def half(inside: Any) -> Half:
+        part = within(table, inside)
+        scans = tracking.group(part, settings)
+        floats = jax.tree.map(
+            lambda x: jnp.asarray(x, float if x.dtype.kind == "f" else None), scans.scan
+        )
+        return Half(part, scans, floats)
+
+    middle = (table.time[0] + table.time[-1]) / 2
+    inside = {"first": table.time < middle, "second": table.time >= middle}
+    halves = {name: half(rows) for name, rows in inside.items()}
+    chosen = kinds.with_algorithm(settings, name)
+    chosen = guess.complete(chosen, halves["first"].scans)
+    motion = tracking.make(table, chosen)[1].target.layout
+    return Case(fitted.tracker(table, chosen), chosen, motion, halves)
+
+
+def off(settings: Any) -> Any:
+    """Returns settings that are wrong by a factor of three, each to the worse side.
+
+    Of probabilities the odds are.
+    """
+
+    def mode(one: Any) -> Any:
+        odds = one.detect_prob / (1 - one.detect_prob) / 3
+        return one._replace(
+            noise_density=3 * one.noise_density,
+            drift_std=3 * one.drift_std,
+            detect_prob=odds / (1 + odds),
+            sojourn=one.sojourn / 3,
+        )
+
+    sensor, targets = settings.sensor, settings.targets
+    return settings._replace(
+        sensor=sensor._replace(
+            noise_std=3 * sensor.noise_std, clutter_rate=3 * sensor.clutter_rate
+        ),
+        targets=targets._replace(
+            lifetime=targets.lifetime / 3, birth_rate=3 * targets.birth_rate
+        ),
+        modes={name: mode(one) for name, one in settings.modes.items()},
+    )
+
+
+@functools.cache
+def optimizer(steps: int) -> Any:
+    """Returns one optimiser for all fits, so that a tracker compiles once."""
+    import optax
+
+    return optax.adam(optax.cosine_decay_schedule(0.15, steps))
+
+
+def fit(
+    case: Case, begin: str, half: str, steps: int = STEPS, directory: Any = None
+) -> dict[str, Any]:
+    """Fits one half; what was found, as JSON can hold it.
+
+    Args:
+        case: From `make`.
+        begin: Of `FITS`, where it starts.
+        half: "first" or "second".
+        steps: Of the optimiser.
+        directory: Where a fit that is not finished is kept.
+    """
+    from jaxtrack import learn
+    from jaxtrack.recorded import fitted
+
+    first = case.settings if begin == "by hand" else off(case.settings)
+    clock = time.perf_counter()
+    found = learn.fit(
+        case.tracker,
+        fitted.numbers(first),
+        case.halves[half].scan,
+        optimizer(steps),
+        loss=learn.loss.held_out(SETTLED),
+        num_steps=steps,
+        patience=None,
+        errors=(begin, half) == FITS[0],
+        directory=directory,
+    )
+    known, told = found.information, found.history
+    assert told is not None
+    return {
+        "numbers": lists(found.params._asdict()),
+        "error": None if known is None else lists(known.std_error),
+        "evidence": (-told.loss).tolist(),
+        "history": lists(told.values),
+        "seconds": time.perf_counter() - clock,
+    }
+
+
+def lists(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Returns arrays as lists, for JSON."""
+    return {name: np.asarray(value).tolist() for name, value in arrays.items()}
+
+
+def tracked(case: Case, settings: Any, half: str) -> Any:
+    """Returns the estimates of settings in a half that is tracked anew."""
+    import jax
+
+    from jaxtrack.recorded import fitted, tracking
+
+    given, scan = fitted.numbers(settings), case.halves[half].scan
+    estimates = tracking.run(case.tracker, given, scan, jax.random.key(0))
+    return jax.tree.map(np.asarray, estimates)
+
+
+def told(case: Case, settings: Any, half: str) -> dict[str, float]:
+    """Returns evidence and scores of settings in a half."""
+    from jaxtrack.recorded import tracking
+
+    one, estimates = case.halves[half], tracked(case, settings, half)
+    # How tracks are scored does not depend on what they were made with.
+    made = one.scans, case.settings, case.motion, 0.0, 0.0
+    return numbers_of(tracking.Result(estimates, *made), one.table)
+
+
+def numbers_of(result: Any, table: Any) -> dict[str, float]:
+    """Returns evidence and scores of tracks."""
+    from jaxtrack.recorded import scoring
+
+    evidence = result.estimates.log_evidence
+    settled = len(evidence) - int(np.ceil(SETTLED * len(evidence)))
+    scores = scoring.score(result, table, "MMSI")
+    gospa = scores.gospa
+    return {
+        "evidence": float(evidence[settled:].mean()),
+        "idf1": float(scores.identity.idf1),
+        "switches": int(scores.identity.num_switches),
+        "gospa": float(gospa.distance.mean()),
+        "near": float(scores.identity.motp),
+        "missed": float(gospa.num_missed.mean()),
+        "false": float(gospa.num_false.mean()),
+        "dropped": float(result.estimates.dropped.mean()),
+    }
+
+
+def whole(case: Case, settings: Any) -> dict[str, float]:
+    """Returns the same of all ships of the harbour, in the second half.
+
+    Args:
+        case: Its tracker is made anew, with the capacities of the harbour's settings.
+        settings: Whose rates are those of the box.
+    """
+    from jaxtrack.data import files
+    from jaxtrack.recorded import reading, tracking
+
+    every = files.read_detections(files.harbour_path())
+    table = within(every, every.time >= (every.time[0] + every.time[-1]) / 2)
+    share = harbour()[1].sensor.clutter_rate / reading.harbour().sensor.clutter_rate
+    sensor, targets = settings.sensor, settings.targets
+    chosen = settings._replace(
+        sensor=sensor._replace(clutter_rate=sensor.clutter_rate / share),
+        targets=targets._replace(birth_rate=targets.birth_rate / share),
+        scans=reading.harbour().scans,
+        tracker=reading.harbour().tracker._replace(name=case.settings.tracker.name),
+    )
+    return numbers_of(tracking.track(table, chosen), table)
+
+
+def rows(found: dict[str, Any], case: Case) -> dict[str, Any]:
+    """Returns the settings that are compared, by what they are called.
+
+    Args:
+        found: From `fit`, by "START, HALF half".
+        case: From `make`.
+    """
+    from jaxtrack.recorded import fitted
+
+    made = {"by hand": case.settings, "off by 3": off(case.settings)}
+    for name, one in found.items():
+        numbers = fitted.Numbers(**one["numbers"])
+        made[f"fitted from {name}"] = fitted.settings(case.settings, numbers)
+    return made
+
+
+def scores_table(scores: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Returns the table of scores in Markdown, by settings and where they are held."""
+    columns = {
+        "evidence a scan": ("evidence", ".1f"),
+        "IDF1": ("idf1", ".3f"),
+        "switches": ("switches", "d"),
+        "GOSPA, m": ("gospa", ".0f"),
+        "missed": ("missed", ".1f"),
+        "false": ("false", ".1f"),
+    }
+    lines = [
+        f"| in | settings | {' | '.join(columns)} |",
+        "|---" * (len(columns) + 2) + "|",
+    ]
+    for place in dict.fromkeys(place for each in scores.values() for place in each):
+        for name, each in scores.items():
+            if place in each:
+                cells = [f"{each[place][key]:{form}}" for key, form in columns.values()]
+                lines.append(f"| {place} | {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def numbers_table(case: Case, found: dict[str, Any]) -> str:
+    """Returns the table of what was found in Markdown."""
+    from jaxtrack.recorded import fitted
+
+    modes = case.settings.modes
+    moving = {"drift_std": [key for key, mode in modes.items() if mode.rest]}
+    hand = lists(fitted.numbers(case.settings)._asdict())
+    lines = [
+        f"| | by hand | {' | '.join(found)} | error |",
+        "|---" * (len(found) + 3) + "|",
+    ]
+    first = next(iter(found.values()))
+    for key, value in hand.items():
+        columns = [hand, *(one["numbers"] for one in found.values()), first["error"]]
+        names = moving.get(key, list(modes)) if np.ndim(value) else [""]
+        cells = [np.atleast_1d(one[key]) for one in columns]
+        for i, name in enumerate(names):
+            told = " | ".join(f"{float(one[i]):.3g}" for one in cells)
+            lines.append(f"| `{key}` {name} | {told} |")
+    return "\n".join(lines) + "\n"
+
+
+def picture(case: Case, found: dict[str, Any], path: Any) -> None:
+    """Draws the way of each fit: evidence, and every number against that by hand."""
+    from matplotlib.figure import Figure
+
+    from jaxtrack.recorded import fitted
+
+    hand = lists(fitted.numbers(case.settings)._asdict())
+    keys = ["evidence", *hand]
+    figure = Figure(figsize=(13, 5), layout="constrained")
+    axes = figure.subplots(2, 5)
+    lines = dict(zip(found, ("C0", "C3", "C2"), strict=False))
+    looks = "-", "--", ":"
+    for axis, key in zip(axes.flat, keys, strict=True):
+        for name, color in lines.items():
+            one = found[name]
+            if key == "evidence":
+                axis.plot(one[key], c=color, label=name)
+                continue
+            way = np.array(one["history"][key]).reshape(len(one["evidence"]), -1)
+            by_hand = np.ravel(hand[key])
+            for values, start_, look in zip(way.T, by_hand, looks, strict=False):
+                axis.plot(values / start_, look, c=color)
+        axis.set(title=key, xlabel="step")
+        axis.grid(alpha=0.3)
+        if key != "evidence":
+            axis.set_yscale("log")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.savefig(path, dpi=110)
+
+
+def kept(path: pathlib.Path, work: Callable[[], Any]) -> Any:
+    """Returns what a file holds, or does the work and keeps it there."""
+    if not path.exists():
+        part = path.with_suffix(".part")
+        part.write_text(json.dumps(work()) + "\n")
+        part.replace(path)
+    return json.loads(path.read_text())
+
+
+def study(name: str, out: pathlib.Path) -> None:
+    """Does what is not done yet with a tracker, and writes what came out."""
+    from jaxtrack.recorded import fitted
+
+    case, found = make(*harbour(), name), {}
+    for begin, half in FITS:
+        word = f"{begin}, {half} half"
+        path = out / f"{name}-fit-{begin}-{half}.json"
+        ways = out / f"{name}-{begin}-{half}"
+        work = functools.partial(fit, case, begin, half, directory=ways)
+        found[word] = one = kept(path, work)
+        print(f"{name}, from {word}: {one['seconds']:.0f} s", flush=True)
+    scores: dict[str, Any] = {}
+    for word, settings in rows(found, case).items():
+        scores[word] = {}
+        for half in case.halves:
+            path = out / f"{name}-{word}-{half}.json"
+            work = functools.partial(told, case, settings, half)
+            scores[word][f"{half} half"] = kept(path, work)
+        (out / f"{name}-{word}.toml").write_text(fitted.toml(settings))
+        path = out / f"{name}-{word}-whole.json"
+        if "second" not in word:  # which would be told of what it knows
+            work = functools.partial(whole, case, settings)
+            scores[word]["whole harbour, second half"] = kept(path, work)
+    text = scores_table(scores) + "\n" + numbers_table(case, found)
+    (out / f"{name}.md").write_text(text)
+    picture(case, found, out / f"{name}.png")
+    print(text, flush=True)
+
+
+def main() -> None:
+    """Fits through the trackers that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=["lmb", "mht"], metavar="tracker")
+    parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("harbour_fit"))
+    given = parser.parse_args()
+    start.cores()
+    start.cache()
+    given.out.mkdir(parents=True, exist_ok=True)
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    for name in given.only:
+        study(name, given.out)
+
+
+if __name__ == "__main__":
+    main()
