@@ -48,20 +48,23 @@ def certain_scene(seen):
 
 
 @functools.cache
-def program(bernoulli):
-    room = {"max_tracks": 3, "max_leaves": 6, "max_undetected": 2}
-    if bernoulli:
-        tracker = tpmbm.tpmbm(scenes.target, num_scans=1, lag=2, **room)
-    else:
-        tracker = mht.mht(scenes.target, num_scans=1, delay=3, **room)
+def program(kind):
+    room = {"max_tracks": 3, "max_leaves": 6, "max_undetected": 2, "num_scans": 1}
+    tracker = {
+        "mht": lambda: mht.mht(scenes.target, delay=3, **room),
+        "all": lambda: tpmbm.tpmbm(scenes.target, lag=2, exist_threshold=0.2, **room),
+        "alive": lambda: tpmbm.tpmbm(
+            scenes.target, lag=2, exist_threshold=0.2, trajectories="alive", **room
+        ),
+    }[kind]()
     return jax.jit(functools.partial(run, tracker))
 
 
 def test_a_trajectory_is_smoothed_grows_and_ends():
     seen = [True, True, False, True, True, True] + 8 * [False]
     params, scans = certain_scene(seen)
-    told = program(True)(params, scans)
-    later = program(False)(params, scans).retrodicted
+    told = program("all")(params, scans)
+    later = program("mht")(params, scans).retrodicted
     paths, size = told.paths, told.paths.alive.shape[2]
     for t in range(size - 1, 9):
         at = int(np.argmax(later.label[t] == 0))
@@ -82,6 +85,28 @@ def test_a_trajectory_is_smoothed_grows_and_ends():
     assert before.alive[:, 0].tolist() == 5 * [True] + 9 * [False]
     newest = int(np.argmax(paths.label[4] == 0))
     np.testing.assert_allclose(before.mean[1:5, 0], paths.mean[4, newest], rtol=1e-12)
+
+
+def test_alive_trajectories_go_with_their_targets():
+    seen = [True, True, False, True, True, True] + 8 * [False]
+    params, scans = certain_scene(seen)
+    told, every = (program(kind)(params, scans) for kind in ("alive", "all"))
+    there = (told.label == 0) & (told.existence_prob > 0.2)
+    assert there.any(1)[:6].all()
+    gone = int(np.argmin((told.paths.label == 0).any(1)))
+    # The other awaits that its last detection is reported, three scans later.
+    assert gone < 8 < int(np.argmin((every.paths.label == 0).any(1)))
+    for now in (1, 5):
+        one, other = (
+            trajectories.assemble(x.paths, max_trajectories=2, now=now)
+            for x in (told, every)
+        )
+        assert one.label.tolist() == [0, -1]
+        assert one.alive[:, 0].tolist() == (now + 1) * [True] + (13 - now) * [False]
+        np.testing.assert_allclose(one.mean, other.mean, rtol=1e-12)
+    one = trajectories.assemble(told.paths, max_trajectories=2)
+    assert one.label.tolist() == [-1, -1]
+    assert not one.alive.any()
 
 
 def test_ends_are_where_they_are_likeliest():
@@ -140,6 +165,7 @@ def test_gradient_of_the_evidence_is_right():
         ({"num_scans": -1}, "num_scans is -1"),
         ({"max_leaves": 1}, "max_leaves is 1"),
         ({"solver": "simplex"}, "solver is 'simplex'"),
+        ({"trajectories": "dead"}, "trajectories is 'dead'; give 'all' or 'alive'"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings, sentence):

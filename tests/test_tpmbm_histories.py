@@ -25,20 +25,35 @@ BIRTH = 0.3  # probability, where births are multi-Bernoulli
 BORN = {"max_tracks": 3, "max_leaves": 20}
 CERTAIN = {"max_tracks": 3, "max_leaves": 12}
 SMALL = {"max_tracks": 3, "max_leaves": 4, "max_undetected": 3, "max_hypotheses": 8}
-PAIRS = {
+
+
+def poisson(**more):
+    settings = {"max_hypotheses": 128, **ALL, **POISSON}
+    return tpmbm.tpmbm(scenes.target, **settings, **more)
+
+
+def certain(**more):
+    settings = {"max_hypotheses": 200, "certain": True, **ALL, **CERTAIN}
+    return tmbm.tmbm(scenes.target, **settings, **more)
+
+
+# Each tracker, that of single scans, and the first with alive trajectories only.
+TRACKERS = {
     "poisson": (
-        tpmbm.tpmbm(scenes.target, max_hypotheses=128, **ALL, **POISSON),
+        poisson(),
         pmbm.pmbm(
             scenes.target, max_hypotheses=32, exist_threshold=0.0, **ROOM, **POISSON
         ),
+        poisson(trajectories="alive"),
     ),
     "multi-Bernoulli": (
         tmbm.tmbm(scenes.target, max_hypotheses=150, **ALL, **BORN),
         mbm.mbm(scenes.target, max_hypotheses=150, exist_threshold=0.0, **ROOM, **BORN),
     ),
     "certain": (
-        tmbm.tmbm(scenes.target, max_hypotheses=200, certain=True, **ALL, **CERTAIN),
+        certain(),
         mbm.mbm01(scenes.target, max_hypotheses=200, **ROOM, **CERTAIN),
+        certain(trajectories="alive"),
     ),
     "poisson, two modes": (
         tpmbm.tpmbm(imm.imm(), **ALL, **SMALL),
@@ -46,6 +61,7 @@ PAIRS = {
     ),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS)
+EVERY = [*((kind, False) for kind in KINDS), ("poisson", True), ("certain", True)]
 
 
 def params_of(drawn, kind):
@@ -87,20 +103,20 @@ def sizes_of(kind):
 
 @functools.cache
 def found(kind):
-    """What the tracker and that of single scans report, of all problems."""
+    """What these trackers report, of all problems."""
 
-    def both(drawn, places):
+    def every(drawn, places):
         params = params_of(drawn, kind)
         scans = scenes.stacked(scenes.padded(places))
-        return [run(tracker, params, scans) for tracker in PAIRS[kind]]
+        return [run(tracker, params, scans) for tracker in TRACKERS[kind]]
 
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(*drawn(sizes_of(kind))))
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(every))(*drawn(sizes_of(kind))))
 
 
-@pytest.mark.parametrize("kind", PAIRS)
+@pytest.mark.parametrize("kind", TRACKERS)
 def test_with_room_for_all_it_is_the_filter_of_single_scans(kind):
     """Which is compared with all hypotheses, or sets, in tests of its own."""
-    several, single = found(kind)
+    several, single = found(kind)[:2]
     for field in ("log_evidence", "num_mean", "num_var"):
         given = getattr(several, field), getattr(single, field)
         np.testing.assert_allclose(*given, rtol=1e-10)
@@ -119,7 +135,7 @@ def test_with_room_for_all_it_is_the_filter_of_single_scans(kind):
 
 
 @functools.cache
-def known(kind):
+def known(kind, alive_only=False):
     """What there is to know after each scan, of all problems."""
     answers = []
     for seed in range(NUM):
@@ -128,9 +144,8 @@ def known(kind):
         scans = scenes.detections(seed, sizes_of(kind))
         for t in range(len(scans)):
             past = scans[: t + 1]
-            answers.append(
-                (seed, t, past, model, histories.posterior(past, model, kind, MOST))
-            )
+            one = histories.posterior(past, model, kind, MOST, alive_only)
+            answers.append((seed, t, past, model, one))
     return answers
 
 
@@ -143,23 +158,23 @@ def labelled(label, values, num):
     return rows
 
 
-@every_kind
-def test_hypotheses_weigh_what_all_of_them_do(kind):
-    told = found(kind)[0]
+@pytest.mark.parametrize(("kind", "alive_only"), EVERY)
+def test_hypotheses_weigh_what_all_of_them_do(kind, alive_only):
+    told = found(kind)[2 * alive_only]
     evidence = told.log_evidence.cumsum(1)
-    for seed, t, _, _, expected in known(kind):
+    for seed, t, _, _, expected in known(kind, alive_only):
         np.testing.assert_allclose(evidence[seed, t], expected.log_evidence, rtol=1e-10)
         prob = told.hypothesis_prob[seed, t]
         most = min(len(prob), len(expected.prob))
-        # Of probabilities; some are equal, and none in others' places.
+        # Of probabilities.
         np.testing.assert_allclose(prob[:most], expected.prob[:most], atol=1e-10)
         assert (prob[most:] < 1e-10).all()
 
 
-@every_kind
-def test_targets_are_as_likely_as_all_hypotheses_say(kind):
-    told = found(kind)[0]
-    for seed, t, _, _, expected in known(kind):
+@pytest.mark.parametrize(("kind", "alive_only"), EVERY)
+def test_targets_are_as_likely_as_all_hypotheses_say(kind, alive_only):
+    told = found(kind)[2 * alive_only]
+    for seed, t, _, _, expected in known(kind, alive_only):
         number = np.arange(MOST)
         mean = expected.num_prob @ number
         var = expected.num_prob @ number**2 - mean**2
@@ -198,3 +213,33 @@ def test_paths_are_those_of_the_best_hypothesis(kind):
             np.testing.assert_allclose(cov[track][there], covs[there], atol=1e-9)
             shown += there.any()
     assert shown > NUM
+
+
+@pytest.mark.parametrize("kind", ["poisson", "certain"])
+def test_alive_paths_are_those_of_targets_that_are_there_now(kind):
+    """From the beginning until now, in the best hypothesis, or not at all."""
+    paths, shown, hidden = found(kind)[2].paths, 0, 0
+    for seed, t, scans, model, expected in known(kind, True):
+        window = slice(-t - 1, None)
+        label, num = paths.label[seed, t], len(expected.best)
+        one = [getattr(paths, name)[seed, t][:, window] for name in paths._fields[:5]]
+        mean, cov, _, prob, alive = (labelled(label, x, num) for x in one)
+        for track, history in enumerate(expected.best):
+            now = 0.0 if history is None else history.alive_prob[-1]
+            if now <= THRESHOLD:
+                assert not alive[track].any()
+                hidden += history is not None and history.alive_prob.max() > THRESHOLD
+                continue
+            there = np.arange(t + 1) >= history.since
+            np.testing.assert_array_equal(alive[track], there)
+            # Of probabilities.
+            np.testing.assert_allclose(prob[track], now * there, atol=1e-10)
+            means, covs = histories.smoothed(
+                history.track, history.since, t, scans, model
+            )
+            # Of some metres, by some inverses of matrices.
+            np.testing.assert_allclose(mean[track][there], means, atol=1e-9)
+            np.testing.assert_allclose(cov[track][there], covs, atol=1e-9)
+            shown += 1
+    assert shown > NUM
+    assert hidden > 0 or kind == "certain"

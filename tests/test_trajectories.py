@@ -38,3 +38,31 @@ def test_each_scan_is_as_it_was_last_reported(now):
         if there:
             expected = [10.0 * scan, min(scan + SIZE - 1, last)]
             np.testing.assert_array_equal(told.mean[scan], [expected, expected])
+
+
+@pytest.mark.parametrize(
+    ("now", "label", "prob"), [(5, 7, 0.9), (4, -1, 0.0), (2, 4, 0.6)]
+)
+def test_of_alive_trajectories_each_scan_is_told_of_those_that_are_there(
+    now, label, prob
+):
+    """Track 4 is not there any more from scan 3 on, and 7 only in the last one."""
+    plain, scan = reported(), np.arange(SCANS)[:, None]
+    there = np.stack([scan < 3, scan == 5], 1)
+    likely = np.stack([0.2 * scan * (scan < 4) + 0.2, 0.1 * scan + 0.4], 1)
+    begun = plain.alive & np.array([True, True])[None, :, None]
+    paths = plain._replace(
+        begun=begun, alive=begun & there, alive_prob=np.where(begun, likely, 0.0)
+    )
+    told = jax.jit(trajectories.latest, static_argnums=1)(paths, now)
+    track = {4: 0, 7: 1, -1: 0}[label]
+    for then in range(SCANS):
+        here = then <= now and label >= 0
+        assert told.exists[then].sum() == told.exists[then, track] == here
+        assert told.label[then].tolist().count(label) == (
+            1 if here else 2 * (label < 0)
+        )
+        np.testing.assert_allclose(told.existence_prob[then, track], prob * here)
+        if here:
+            expected = [10.0 * then, min(then + SIZE - 1, now)]
+            np.testing.assert_array_equal(told.mean[then, track], expected)

@@ -96,6 +96,25 @@ def grow(
     return Grown(grown, parent, lost)
 
 
+def forget_ends(trees: Forest) -> Forest:
+    """Makes one leaf of a tree's that differ only in when its target ended.
+
+    Args:
+        trees: N trees with L leaves, which say whether a target is there.
+
+    Returns:
+        The same, where the first of these leaves has the weight of all.
+    """
+    gone = (trees.log_score > -jnp.inf) & (trees.existence_prob == 0)
+    alike = (trees.past[:, :, None] == trees.past[:, None]).all(3)  # [N, L, L]
+    alike = alike & gone[:, :, None] & gone[:, None]
+    all_of_them = jnp.where(alike, trees.log_score[:, :, None], -jnp.inf)
+    total = jax.vmap(mixture.total)(all_of_them)
+    first = jnp.argmax(alike, axis=2) == jnp.arange(gone.shape[1])[None]
+    together = jnp.where(first, total, -jnp.inf)
+    return trees._replace(log_score=jnp.where(gone, together, trees.log_score))
+
+
 def plant(
     bernoulli: bool,
     max_begun: int | None,

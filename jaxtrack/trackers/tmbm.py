@@ -37,6 +37,7 @@ def tmbm(
     exist_threshold: float = 1e-3,
     report_threshold: float = 0.5,
     certain: bool = False,
+    trajectories: str = "all",
 ) -> Tracker:
     """Makes a multiscan trajectory multi-Bernoulli mixture filter.
 
@@ -52,11 +53,14 @@ def tmbm(
         max_leaves: Leaves kept of each, the likeliest.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
-        exist_threshold: A tree goes where its target exists with less probability, and
-            did so in all scans that are still to be reported.
+        exist_threshold: A tree goes where its target exists with less probability, and,
+            if all trajectories are followed, did so in all scans still to be reported.
         report_threshold: A trajectory of the best hypothesis is reported where there
-            was such a target with more probability.
+            was such a target with more probability, or is one, if only alive ones are.
         certain: Whether hypotheses say who is there: TMBM01.
+        trajectories: Which are followed: "all", those that ended included, or "alive",
+            those of targets that are there now, in fewer trees. Hypotheses of TMBM01
+            do not say then when the others ended.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -77,5 +81,6 @@ def tmbm(
         bernoulli=True,
         hides=False,
         certain=certain,
+        trajectories=trajectories,
     )
     return track_oriented.make(settings)

@@ -10,7 +10,8 @@ best one is another.
 
 With every scan it reports the paths of its tracks through the last `num_scans + lag`
 scans, smoothed (`estimate.paths`); `trajectories.assemble` makes whole trajectories of
-them, those that ended included. Trajectories begin where they were first detected.
+them, those that ended included; with `trajectories="alive"` those of targets that are
+there now, and ended ones take no room. They begin where they were first detected.
 
     >>> from jaxtrack import targets
     >>> from jaxtrack.trackers import tpmbm
@@ -42,6 +43,7 @@ def tpmbm(
     prune_threshold: float = 1e-5,
     exist_threshold: float = 1e-3,
     report_threshold: float = 0.5,
+    trajectories: str = "all",
 ) -> Tracker:
     """Makes a multiscan trajectory Poisson multi-Bernoulli mixture filter.
 
@@ -60,10 +62,12 @@ def tpmbm(
             for one with each detection. The others count as false in `log_evidence`.
         gate_prob: P_G; 1 for no gate.
         prune_threshold: Leaves of less weight than this share of their tree's go.
-        exist_threshold: A tree goes where its target exists with less probability, and
-            did so in all scans that are still to be reported.
+        exist_threshold: A tree goes where its target exists with less probability, and,
+            if all trajectories are followed, did so in all scans still to be reported.
         report_threshold: A trajectory of the best hypothesis is reported where there
-            was such a target with more probability.
+            was such a target with more probability, or is one, if only alive ones are.
+        trajectories: Which are followed: "all", those that ended included, or "alive",
+            those of targets that are there now, in fewer trees.
 
     Raises:
         ValueError: A setting that makes no sense.
@@ -83,5 +87,6 @@ def tpmbm(
         delay=max(num_scans + lag, 1),
         bernoulli=True,
         max_begun=max_begun,
+        trajectories=trajectories,
     )
     return track_oriented.make(settings)

@@ -77,7 +77,7 @@ class Settings(NamedTuple):
 
     `bernoulli` says that tracks are, `hides` that targets are undetected until a
     detection begins their track, and `certain` that every leaf says whether its target
-    is there.
+    is there. With `trajectories` "alive" those that ended are forgotten.
     """
 
     target: Target
@@ -94,6 +94,12 @@ class Settings(NamedTuple):
     hides: bool = True
     certain: bool = False
     max_begun: int | None = None
+    trajectories: str = "all"
+
+    @property
+    def alive_only(self) -> bool:
+        """Tells whether only targets that are there now are followed."""
+        return self.trajectories == "alive"
 
 
 def make(settings: Settings) -> Tracker:
@@ -114,6 +120,10 @@ def make(settings: Settings) -> Tracker:
         raise ValueError("max_leaves is 1; give at least 2, one for a miss")
     if settings.num_scans < 0:
         raise ValueError(f"num_scans is {settings.num_scans}; give 0 or more")
+    if settings.trajectories not in ("all", "alive"):
+        raise ValueError(
+            f"trajectories is {settings.trajectories!r}; give 'all' or 'alive'"
+        )
     gate.check(settings.gating.prob)
     thinning.check(limits)
     thinning.check_share("report_threshold", settings.report_threshold)
@@ -180,7 +190,7 @@ def _step(
     )
     leaf = verdict.leaves(trees, found.views)
     limits, window, awaited = settings.thinning, settings.num_scans, False
-    if history is not None:
+    if history is not None and not settings.alive_only:
         least = limits.exist_threshold
         awaited = retrodiction.awaited(history, leaf[0], trees.age, least)
     pruned = deciding.decide(
@@ -233,6 +243,8 @@ def _grow(
         new = jnp.arange(sure.size) >= len(state.best)
         age = jnp.where(new & sure, 1, grown.trees.age)
         trees, label = grown.trees._replace(age=age), met.next_label
+        if settings.certain and settings.alive_only:
+            trees = growing.forget_ends(trees)
         unbegun = jnp.zeros_like(met.log_constant)
     else:
         limits = settings.bernoulli, settings.max_begun
@@ -259,7 +271,8 @@ def _look_back(
     about = settings.target, params.target, history, trees, leaf
     threshold = settings.report_threshold
     if settings.bernoulli:
-        return estimate._replace(paths=trajectories.paths(*about, threshold))
+        paths = trajectories.paths(*about, threshold, settings.alive_only)
+        return estimate._replace(paths=paths)
     past = retrodiction.retrodict(*about, threshold)
     return estimate._replace(retrodicted=past)
 

@@ -8,7 +8,8 @@ however long they are.
 
 When a target that has not been detected since has ended is uncertain: it ended after
 scan t with the probability that it was there then and not one scan later. A path ends
-where that is likeliest, or goes on.
+where that is likeliest, or goes on. Where only trajectories of targets that are there
+now are asked for, a path is there from its beginning until now, or not at all.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import trajectories
@@ -39,10 +40,13 @@ class Paths(NamedTuple):
         mean: Smoothed, [N, W, D].
         cov: [N, W, D, D].
         filtered: The mean by the detections until then, not smoothed, [N, W, D].
-        alive_prob: That the target was there, if the best hypothesis is true, [N, W].
+        alive_prob: That the target was there, if the best hypothesis is true, [N, W];
+            of alive trajectories, that it is there now.
         alive: Where the reported path is, from its beginning to where it most likely
             ended, [N, W] (bool).
         label: [N] (int).
+        begun: Which scans are not before the beginning of the track, [N, W] (bool),
+            where only alive trajectories are followed; else None.
     """
 
     mean: Array
@@ -51,6 +55,7 @@ class Paths(NamedTuple):
     alive_prob: Array
     alive: Array
     label: Array
+    begun: Array | None = None
 
 
 class Trajectories(NamedTuple):
@@ -91,6 +96,7 @@ def paths(
     trees: Forest,
     leaf: tuple[Array, Array],
     threshold: float,
+    alive_only: bool = False,
 ) -> Paths:
     """Reports the last W scans.
 
@@ -102,7 +108,8 @@ def paths(
         leaf: That of the best hypothesis of each, -1 for none, and the one to show,
             both [N] (int).
         threshold: Probability that there ever was a target above which a track is
-            reported.
+            reported; of alive trajectories, that there is one now.
+        alive_only: Whether only targets that are there now are asked for.
     """
     best, shown = leaf
     tree, size = jnp.arange(len(shown)), len(history.interval)
@@ -116,13 +123,19 @@ def paths(
     since = jnp.minimum(trees.age, history.num)
     begun = (size - 1 - scan)[None] < since[:, None]
     there = begun & (trees.label >= 0)[:, None]
+    means = moments.mean, moments.cov, before
+    if alive_only:
+        prob = jnp.where(there, exists[:, -1:], 0.0)
+        reported = (best >= 0) & (prob[:, -1] > threshold)
+        alive = there & reported[:, None]
+        return Paths(*means, prob, alive, trees.label, there)
     prob = jnp.where(
         there, jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan), 0.0
     )
     reported = (best >= 0) & (prob.max(1) > threshold)
     older = trees.age > jnp.minimum(history.num, size)
     alive = jax.vmap(ended)(prob, there, older) & reported[:, None]
-    return Paths(moments.mean, moments.cov, before, prob, alive, trees.label)
+    return Paths(*means, prob, alive, trees.label)
 
 
 class Latest(NamedTuple):
@@ -150,6 +163,9 @@ def latest(reported: Paths, now: Array | int | None = None) -> Latest:
     Args:
         reported: Of T scans, [T, N, W, ...].
         now: After which scan, the last if None or beyond; later ones are empty.
+
+    Returns:
+        The `Latest`; of alive trajectories, those of targets that are there then.
     """
     num_scans, _, size = reported.alive.shape[:3]
     last = num_scans - 1
@@ -161,9 +177,15 @@ def latest(reported: Paths, now: Array | int | None = None) -> Latest:
         x[told, :, at]
         for x in (reported.mean, reported.cov, reported.alive, reported.alive_prob)
     )
-    past = (scan <= now)[:, None]
+    past, label = (scan <= now)[:, None], reported.label[told]
+    if reported.begun is not None:
+        same = label[:, :, None] == reported.label[now][None, None]  # [T, N, N now]
+        same = same & reported.alive[now, :, -1][None, None]
+        alive = same.any(2) & reported.begun[told, :, at]
+        here = reported.alive_prob[now, :, -1]
+        prob = jnp.where(same, here[None, None], 0.0).sum(2)
     alive, prob = alive & past, jnp.where(past, prob, 0.0)
-    label = jnp.where(alive, reported.label[told], -1)
+    label = jnp.where(alive, label, -1)
     return Latest(label, mean, cov, alive, prob)
 
 
@@ -179,7 +201,7 @@ def assemble(
 
     Returns:
         The `Trajectories`, in the order in which they began; those of scans after it
-        are not there.
+        are not there, nor, if only alive ones are followed, those that ended before.
     """
     label, mean, _, alive, _ = latest(reported, now)
     high = jnp.iinfo(label.dtype).max

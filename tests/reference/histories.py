@@ -94,6 +94,19 @@ def apart(history):
         )
 
 
+def forgotten(options):
+    """The same, where those that are no more are told by their detections alone."""
+    gone = {}
+    for one in options:
+        if one.alive_prob[-1] > 0:
+            yield one
+        else:
+            gone.setdefault(one.track, []).append(one)
+    for same in gone.values():
+        never = sum(one.weight for one in same)
+        yield same[0]._replace(never=never, ends=0 * same[0].ends)
+
+
 def hypotheses(trees, scans, everything):
     """(weight, histories) of all; with `everything` each detection has one track."""
     total = sum(map(len, scans))
@@ -126,7 +139,7 @@ class Known(NamedTuple):
     num_prob: np.ndarray  # of 0, 1, ... targets now
 
 
-def posterior(scans, model, kind, most):
+def posterior(scans, model, kind, most, alive_only=False):
     """Lists all hypotheses: "poisson", "multi-Bernoulli" or "certain"."""
     if kind == "poisson":
         trees = poisson(scans, model)
@@ -135,6 +148,8 @@ def posterior(scans, model, kind, most):
         found = sum(n for *_, n in lives.lives(len(scans), model)) - hidden
     else:
         trees, alive, found = born(scans, model, kind == "certain"), 0.0, 0.0
+    if kind == "certain" and alive_only:
+        trees = [list(forgotten(options)) for options in trees]
     listed = hypotheses(trees, scans, kind == "poisson")
     listed.sort(key=lambda one: -one[0])
     weight = np.array([w for w, _ in listed])
