@@ -174,6 +174,11 @@ def test_settings_that_make_no_sense_are_refused(settings, sentence):
             make(scenes.target, **settings)
 
 
+def test_fewer_birth_times_than_none_are_refused():
+    with pytest.raises(ValueError, match="num_birth_times is -1; give 0 or more"):
+        tpmbm.tpmbm(scenes.target, num_birth_times=-1)
+
+
 def test_births_of_the_other_kind_are_refused():
     params = scenes.params_of(scenes.draw(0))
     places = params._replace(birth=MultiBernoulliBirth(*params.birth), undetected=None)

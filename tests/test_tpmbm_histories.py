@@ -21,6 +21,7 @@ pytestmark = pytest.mark.usefixtures("whole_matrices")
 KINDS = "poisson", "multi-Bernoulli", "certain"
 THRESHOLD, MOST = 0.5, 20
 SIZES, NUM = (2, 1, 2), 30  # FEW where hypotheses say more
+TIMES = 3  # of birth that are told apart
 BIRTH = 0.3  # probability, where births are multi-Bernoulli
 BORN = {"max_tracks": 3, "max_leaves": 20}
 CERTAIN = {"max_tracks": 3, "max_leaves": 12}
@@ -40,7 +41,7 @@ def certain(**more):
 # Each tracker, that of single scans, and the first with alive trajectories only.
 TRACKERS = {
     "poisson": (
-        poisson(),
+        poisson(num_birth_times=TIMES),
         pmbm.pmbm(
             scenes.target, max_hypotheses=32, exist_threshold=0.0, **ROOM, **POISSON
         ),
@@ -243,3 +244,21 @@ def test_alive_paths_are_those_of_targets_that_are_there_now(kind):
             shown += 1
     assert shown > NUM
     assert hidden > 0 or kind == "certain"
+
+
+def test_births_before_the_first_detection_are_as_likely_as_all_lives_say():
+    paths = found("poisson")[0].paths
+    for seed, t, _, _, expected in known("poisson"):
+        label, num = paths.label[seed, t], len(expected.best)
+        told = labelled(label, paths.birth_prob[seed, t], num)
+        for track, history in enumerate(expected.best):
+            if history is None:
+                continue
+            births = np.zeros(TIMES)
+            for scan, weight in enumerate(history.begun, start=-1):
+                if weight > 0:
+                    births[min(history.since - scan, TIMES - 1)] += weight
+            # Of probabilities.
+            np.testing.assert_allclose(
+                told[track], births / births.sum(), rtol=0, atol=1e-10
+            )

@@ -66,3 +66,13 @@ def test_of_alive_trajectories_each_scan_is_told_of_those_that_are_there(
         if here:
             expected = [10.0 * then, min(then + SIZE - 1, now)]
             np.testing.assert_array_equal(told.mean[then, track], expected)
+
+
+def test_births_are_told_of_each_trajectory():
+    prob = np.array([[0.5, 0.3, 0.2], [0.9, 0.1, 0.0]])
+    paths = reported()._replace(birth_prob=np.tile(prob, (SCANS, 1, 1)))
+    paths.birth_prob[:2], paths.label[:2] = 0.7, -1  # they began later
+    told = jax.jit(trajectories.assemble, static_argnums=1)(paths, 3)
+    assert told.label.tolist() == [4, 7, -1]
+    np.testing.assert_array_equal(told.birth_prob, [*prob, np.zeros(3)])
+    assert trajectories.assemble(reported(), 3).birth_prob is None

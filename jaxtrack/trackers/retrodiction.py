@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.linalg import safe_log
+from jaxtrack.trackers import birth_times
 from jaxtrack.trackers.forest import Forest
 from jaxtrack.types import Array, PyTree, Target
 
@@ -41,6 +42,8 @@ class History(NamedTuple):
         seen: Whether the leaf has a detection of it, [N, L, W] (bool).
         interval: Seconds before each scan, [W].
         num: How many scans there have been.
+        birth_prob: How likely each target was born 0, 1, ..., A - 1 or more scans
+            before its first detection, [N, A]; of known targets 0. None for no answer.
     """
 
     belief: PyTree
@@ -49,6 +52,7 @@ class History(NamedTuple):
     seen: Array
     interval: Array
     num: Array
+    birth_prob: Array | None = None
 
 
 class Retrodiction(NamedTuple):
@@ -87,10 +91,11 @@ def check(delay: int | None, num_scans: int, target: Target) -> None:
         )
 
 
-def begin(trees: Forest, delay: int) -> History:
+def begin(trees: Forest, delay: int, num_birth_times: int = 0) -> History:
     """Returns a history of nothing but what the trees are before the first scan."""
     size = delay + 1
     exists = trees.existence_prob
+    unborn = birth_times.newborn(len(exists), num_birth_times)
 
     def often(x: Array) -> Array:
         return jnp.broadcast_to(x[:, :, None], (*x.shape[:2], size, *x.shape[2:]))
@@ -102,11 +107,17 @@ def begin(trees: Forest, delay: int) -> History:
         seen=jnp.zeros((*exists.shape, size), bool),
         interval=jnp.zeros(size, exists.dtype),
         num=jnp.array(0),
+        birth_prob=None if unborn is None else 0 * unborn,
     )
 
 
 def remember(
-    history: History, before: Array, trees: Forest, parent: Array, interval: Array
+    history: History,
+    before: Array,
+    trees: Forest,
+    parent: Array,
+    interval: Array,
+    births: Array | None = None,
 ) -> History:
     """Adds a scan.
 
@@ -116,6 +127,7 @@ def remember(
         trees: The N trees after it, followed by K that it began.
         parent: The old leaf of each leaf of the N trees, [N, L] (int).
         interval: Seconds before the scan.
+        births: As `History.birth_prob`, of what it detects for the first time, [K, A].
 
     Returns:
         The history of N + K trees.
@@ -142,13 +154,17 @@ def remember(
         seen=add(history.seen, trees.past[:, :, -1] >= 0),
         interval=jnp.append(history.interval[1:], interval),
         num=history.num + 1,
+        birth_prob=birth_times.added(
+            history.birth_prob, births, trees.past[num:, 0, -1]
+        ),
     )
 
 
 def keep(history: History, kept: Array) -> History:
     """Returns the history of some trees, [N'] (int)."""
-    belief, exists, gain, seen = jax.tree.map(lambda x: x[kept], history[:4])
-    return History(belief, exists, gain, seen, history.interval, history.num)
+    whole = history._replace(interval=None, num=None)
+    some = jax.tree.map(lambda x: x[kept], whole)
+    return some._replace(interval=history.interval, num=history.num)
 
 
 def awaited(history: History, best: Array, age: Array, threshold: float = 0.0) -> Array:

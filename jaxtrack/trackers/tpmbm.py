@@ -44,6 +44,7 @@ def tpmbm(
     exist_threshold: float = 1e-3,
     report_threshold: float = 0.5,
     trajectories: str = "all",
+    num_birth_times: int = 0,
 ) -> Tracker:
     """Makes a multiscan trajectory Poisson multi-Bernoulli mixture filter.
 
@@ -68,12 +69,16 @@ def tpmbm(
             was such a target with more probability, or is one, if only alive ones are.
         trajectories: Which are followed: "all", those that ended included, or "alive",
             those of targets that are there now, in fewer trees.
+        num_birth_times: A, how many scans are told apart in which a target may have
+            been born: that of its first detection, the one before, ..., the last of
+            them or an earlier one; 0 for no such answer (`paths.birth_prob`).
 
     Raises:
         ValueError: A setting that makes no sense.
     """
-    if lag < 0:
-        raise ValueError(f"lag is {lag}; give 0 or more")
+    for name, number in (("lag", lag), ("num_birth_times", num_birth_times)):
+        if number < 0:
+            raise ValueError(f"{name} is {number}; give 0 or more")
     settings = track_oriented.Settings(
         target=target,
         solver=solver,
@@ -88,5 +93,6 @@ def tpmbm(
         bernoulli=True,
         max_begun=max_begun,
         trajectories=trajectories,
+        num_birth_times=num_birth_times,
     )
     return track_oriented.make(settings)

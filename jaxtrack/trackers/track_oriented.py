@@ -95,6 +95,7 @@ class Settings(NamedTuple):
     certain: bool = False
     max_begun: int | None = None
     trajectories: str = "all"
+    num_birth_times: int = 0
 
     @property
     def alive_only(self) -> bool:
@@ -149,7 +150,10 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     shape = settings.thinning.max_tracks, settings.max_leaves, settings.num_scans + 1
     trees = forest.begin(target, params, shape, keys[1])
     if settings.hides:
-        hidden = undetected.begin(target, params, settings.max_undetected, keys[0])
+        room = settings.max_undetected
+        hidden = undetected.begin(
+            target, params, room, keys[0], settings.num_birth_times
+        )
     else:
         belief = jax.tree.map(lambda x: x[:0, 0], trees.belief)
         hidden = Undetected(trees.log_score[:0, 0], belief)
@@ -158,7 +162,8 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     best = jnp.where(known, 0, -1).astype(jnp.int32)
     history = None
     if settings.delay is not None:
-        history = retrodiction.begin(trees, settings.delay)
+        times = settings.num_birth_times
+        history = retrodiction.begin(trees, settings.delay, times)
     return State(trees, best, known, zero, hidden, known.sum(), keys[2], history)
 
 
@@ -173,7 +178,8 @@ def _step(
     trees, history, num = grown.trees, state.history, len(state.best)
     if history is not None:
         before = met.trees.log_score[:num], trees, grown.parent[:num]
-        history = retrodiction.remember(history, *before, scan.interval)
+        births = None if met.firsts is None else met.firsts.birth_prob
+        history = retrodiction.remember(history, *before, scan.interval, births)
     found = _chooser(settings)(trees, sure, held, len(scan.valid))
     missed = state.undetected if met.firsts is None else met.firsts.missed
     hidden, unseen = undetected.reduce(missed, settings.max_undetected)

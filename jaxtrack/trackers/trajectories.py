@@ -47,6 +47,8 @@ class Paths(NamedTuple):
         label: [N] (int).
         begun: Which scans are not before the beginning of the track, [N, W] (bool),
             where only alive trajectories are followed; else None.
+        birth_prob: How likely each target was born 0, 1, ..., A - 1 or more scans
+            before its first detection, [N, A], if that was asked for; else None.
     """
 
     mean: Array
@@ -56,6 +58,7 @@ class Paths(NamedTuple):
     alive: Array
     label: Array
     begun: Array | None = None
+    birth_prob: Array | None = None
 
 
 class Trajectories(NamedTuple):
@@ -66,12 +69,15 @@ class Trajectories(NamedTuple):
         mean: [T, M, D].
         alive: [T, M] (bool).
         dropped: How many found no room.
+        birth_prob: How likely each was born so many scans before its first detection,
+            [M, A], if the paths say so; else None.
     """
 
     label: Array
     mean: Array
     alive: Array
     dropped: Array
+    birth_prob: Array | None = None
 
 
 def ended(alive_prob: Array, begun: Array, older: Array | bool = False) -> Array:
@@ -124,18 +130,21 @@ def paths(
     begun = (size - 1 - scan)[None] < since[:, None]
     there = begun & (trees.label >= 0)[:, None]
     means = moments.mean, moments.cov, before
+    born = history.birth_prob
+    if born is not None:
+        born = jnp.where((trees.label >= 0)[:, None], born, 0.0)
     if alive_only:
         prob = jnp.where(there, exists[:, -1:], 0.0)
         reported = (best >= 0) & (prob[:, -1] > threshold)
         alive = there & reported[:, None]
-        return Paths(*means, prob, alive, trees.label, there)
+        return Paths(*means, prob, alive, trees.label, there, born)
     prob = jnp.where(
         there, jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan), 0.0
     )
     reported = (best >= 0) & (prob.max(1) > threshold)
     older = trees.age > jnp.minimum(history.num, size)
     alive = jax.vmap(ended)(prob, there, older) & reported[:, None]
-    return Paths(*means, prob, alive, trees.label)
+    return Paths(*means, prob, alive, trees.label, birth_prob=born)
 
 
 class Latest(NamedTuple):
@@ -215,4 +224,11 @@ def assemble(
     first = jnp.sort(listed.ravel())
     different = jnp.append(first[1:] != first[:-1], True) & (first < high)
     dropped = different.sum() - (kept >= 0).sum()
-    return Trajectories(kept, jnp.where(here[:, :, None], mean, 0.0), here, dropped)
+    mean = jnp.where(here[:, :, None], mean, 0.0)
+    born = reported.birth_prob
+    if born is not None:
+        # The same in all reports of a track.
+        at = jnp.argmax(kept[:, None] == reported.label.reshape(1, -1), axis=1)
+        own = born.reshape(-1, born.shape[-1])[at]
+        born = jnp.where((kept >= 0)[:, None], own, 0.0)
+    return Trajectories(kept, mean, here, dropped, born)

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtrack import mixture
 from jaxtrack.linalg import safe_log
 from jaxtrack.models.birth import DetectionBirth, MultiBernoulliBirth, PoissonBirth
-from jaxtrack.trackers import bernoulli
+from jaxtrack.trackers import bernoulli, birth_times
 from jaxtrack.trackers.association import LEAST_LOG_WEIGHT
 from jaxtrack.types import Array, Gaussian, PyTree, Scan, Target
 
@@ -57,10 +57,13 @@ class Undetected(NamedTuple):
     Attributes:
         log_weight: Of the expected number of targets; -inf marks an empty slot, [U].
         belief: [U, ...].
+        born: How likely each was born 0, 1, ..., A - 1 or more scans ago, [U, A], or
+            None; see `birth_times`.
     """
 
     log_weight: Array
     belief: PyTree
+    born: Array | None = None
 
     @property
     def expected(self) -> Array:
@@ -77,12 +80,14 @@ class Firsts(NamedTuple):
         belief: About that target, [K, ...].
         missed: What stays undetected.
         found: Expected number of targets that the scan detects for the first time.
+        birth_prob: How likely each was born so many scans ago, [K, A], or None.
     """
 
     log_score: Array
     belief: PyTree
     missed: Undetected
     found: Array
+    birth_prob: Array | None = None
 
 
 def check(params: Params) -> None:
@@ -99,7 +104,9 @@ def check(params: Params) -> None:
         )
 
 
-def begin(target: Target, params: Params, size: int, key: Array) -> Undetected:
+def begin(
+    target: Target, params: Params, size: int, key: Array, num_birth_times: int = 0
+) -> Undetected:
     """Makes the intensity before the first scan, in U slots.
 
     Args:
@@ -107,6 +114,7 @@ def begin(target: Target, params: Params, size: int, key: Array) -> Undetected:
         params: The tracker's `Params`.
         size: U.
         key: Random key.
+        num_birth_times: A, times of birth told apart; 0 for none.
 
     Raises:
         ValueError: Ways to be born contradict each other, or there is no room.
@@ -116,10 +124,11 @@ def begin(target: Target, params: Params, size: int, key: Array) -> Undetected:
     driven = isinstance(birth, DetectionBirth)
     mode_prob = birth.mode_prob if driven else birth.mode_prob[0]
     empty = bernoulli.nobody(target, params.target, mode_prob, size, key)
-    nobody = Undetected(safe_log(empty.existence_prob), empty.belief)
+    born = birth_times.newborn(size, num_birth_times)
+    nobody = Undetected(safe_log(empty.existence_prob), empty.belief, born)
     if params.undetected is None:
         return nobody
-    known = _born(target, params, params.undetected, key)
+    known = _born(target, params, params.undetected, key, born)
     if (room := size - known.log_weight.size) < 0:
         raise ValueError(
             f"undetected has {known.log_weight.size} places and there is room for "
@@ -144,11 +153,12 @@ def predict(
     belief, log_survive = jax.vmap(target.predict, (None, 0, None))(
         params.target, undetected.belief, interval
     )
-    survived = Undetected(undetected.log_weight + log_survive, belief)
+    born = birth_times.older(undetected.born)
+    survived = Undetected(undetected.log_weight + log_survive, belief, born)
     if isinstance(params.birth, DetectionBirth):
         return survived
-    born = _born(target, params, params.birth, key)
-    return jax.tree.map(lambda x, y: jnp.concatenate([x, y]), survived, born)
+    new = _born(target, params, params.birth, key, born)
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y]), survived, new)
 
 
 def see(
@@ -184,8 +194,9 @@ def see(
     return Firsts(
         log_score=jnp.where(scan.valid, log_score, -jnp.inf),
         belief=belief,
-        missed=Undetected(weight + log_miss, missed),
+        missed=Undetected(weight + log_miss, missed, undetected.born),
         found=(jnp.exp(weight) * -jnp.expm1(log_miss)).sum(),
+        birth_prob=birth_times.detected(log_weight, undetected.born),
     )
 
 
@@ -218,11 +229,14 @@ def _born(
     params: Params,
     birth: PoissonBirth | MultiBernoulliBirth,
     key: Array,
+    others: Array | None,
 ) -> Undetected:
-    """Returns the components of births at B places."""
+    """Returns the components of births at B places, told when as `others` are."""
     places = MultiBernoulliBirth(*birth)
     born = bernoulli.begin(target, params.target, places, jnp.array(0), key)
-    return Undetected(safe_log(born.existence_prob), born.belief)
+    log_weight = safe_log(born.existence_prob)
+    times = birth_times.newborn(log_weight.size, birth_times.number(others))
+    return Undetected(log_weight, born.belief, times)
 
 
 def _driven(
@@ -249,9 +263,11 @@ def _driven(
     clutter = params.clutter._replace(rate=jnp.ones_like(new))
     log_place = jax.vmap(clutter.log_density)(scan.detections)
     log_score = safe_log(new) + log_place - log_clutter
+    num = birth_times.number(undetected.born)
     return Firsts(
         log_score=jnp.where(valid, log_score, -jnp.inf),
         belief=belief,
         missed=undetected,
         found=new,
+        birth_prob=birth_times.newborn(valid.size, num),
     )
