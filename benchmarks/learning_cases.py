@@ -1,0 +1,286 @@
+"""What is learned through each tracker, for `benchmarks.learning`."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+HALF = 100.0  # m, half the line that is watched
+
+
+class Case(NamedTuple):
+    """A tracker and what is learned through it.
+
+    Attributes:
+        tracker: Of `trackers`.
+        params: The truth.
+        first: Where the fit begins.
+        where: What is learned.
+        names: By path, what it is called and, of several numbers, which is shown.
+        size: Recordings, scans of each, slots of a scan.
+        smooth: Whether the evidence is, so that a quasi-Newton method finds its way.
+            It stops before a cliff, where Adam goes on.
+        rough: Whether it is so rough that a mean of Adam's last steps is better than
+            the place of the least loss, and its Hessian means nothing.
+    """
+
+    tracker: Any
+    params: Any
+    first: Any
+    where: Callable[[Any], Any]
+    names: dict[str, tuple[str, tuple[int, ...]]]
+    size: tuple[int, int, int] = (8, 50, 12)
+    smooth: bool = True
+    rough: bool = False
+
+
+def cases() -> dict[str, Callable[[], Case]]:
+    """Returns the makers of the cases."""
+    known = functools.partial(followed, one=False)
+    return {
+        "Kalman": functools.partial(followed, one=True),
+        "JPDA, exact": functools.partial(known, method="auto"),
+        "JPDA, belief propagation": functools.partial(known, method="belief"),
+        "particles": particles,
+        "IMM-JPDA": switching,
+        "PHD": functools.partial(born, "phd", certain=False),
+        "CPHD": functools.partial(born, "cphd", certain=False),
+        "CBMeMBer": functools.partial(born, "cbmember", certain=False),
+        "PMBM": functools.partial(born, "pmbm"),
+        "MHT": functools.partial(born, "mht"),
+        "PHD, all at once": functools.partial(born, "phd"),
+        "CPHD, all at once": functools.partial(born, "cphd"),
+        "CBMeMBer, all at once": functools.partial(born, "cbmember"),
+    }
+
+
+def line(density: Any, std: float, detect: float, survive: float) -> Any:
+    """Returns the parameters of one target on the line."""
+    import jax.numpy as jnp
+
+    from jaxtrack import models
+    from jaxtrack.targets import single
+
+    return single.Params(
+        models.motion.ConstantVelocity(jnp.array([density])),
+        models.sensor.Position(jnp.array([std])),
+        models.probability.Constant(jnp.array(survive)),
+        models.probability.Constant(jnp.array(detect)),
+    )
+
+
+def clutter(rate: float) -> Any:
+    """Returns false detections all over the line."""
+    import jax.numpy as jnp
+
+    from jaxtrack.models.clutter import UniformClutter
+
+    return UniformClutter(jnp.array(rate), jnp.array([-HALF]), jnp.array([HALF]))
+
+
+def there(prob: float, number: int, modes: int = 1, speed: float = 1.0) -> Any:
+    """Returns targets that may begin at places along the line, so fast (m/s)."""
+    import jax.numpy as jnp
+
+    from jaxtrack.models.birth import MultiBernoulliBirth
+
+    place = jnp.linspace(-HALF / 2, HALF / 2, number) if number > 1 else jnp.zeros(1)
+    return MultiBernoulliBirth(
+        existence_prob=jnp.full(number, prob),
+        mean=jnp.stack([place, jnp.zeros(number)], 1),
+        cov=jnp.tile(jnp.diag(jnp.array([25.0, speed**2]))[None], (number, 1, 1)),
+        mode_prob=jnp.full((number, modes), 1.0 / modes),
+    )
+
+
+def patient(target: Any, number: int, **more: Any) -> Any:
+    """Makes a JPDA that drops nobody and has no gate, as a fit wants it."""
+    from jaxtrack.trackers import jpda, management
+
+    rule = management.MofN(3, 5, 32, 32)
+    return jpda.jpda(target, rule=rule, max_tracks=number, gate_prob=1.0, **more)
+
+
+def followed(one: bool, method: str = "auto") -> Case:
+    """Makes a case of known targets that stay: one alone, or two in clutter.
+
+    They begin 100 m apart and seldom meet: where they do JPDA's evidence is worse.
+    """
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import single_scan
+
+    number = 1 if one else 2
+    tracker = patient(single.single(), number, method=method)
+
+    def params(density: float, std: float, detect: float, rate: float) -> Any:
+        target = line(density, std, 0.9 if one else detect, 1.0)
+        rate = 1e-9 if one else rate
+        begin = there(1.0, number, speed=0.2)
+        return single_scan.Params(target, None, clutter(rate), begin)
+
+    names = {
+        "target.motion.noise_density": ("process noise, m²/s³", (0,)),
+        "target.sensor.noise_std": ("sensor noise, m", (0,)),
+    }
+    if one:
+        return Case(
+            tracker,
+            params(0.5, 2.0, 0.9, 0.0),
+            params(1.0, 1.4, 0.9, 0.0),
+            lambda p: (p.target.motion, p.target.sensor),
+            names,
+        )
+    return Case(
+        tracker,
+        params(0.02, 2.0, 0.9, 2.0),
+        params(0.04, 1.4, 0.7, 3.0),
+        lambda p: (p.target.motion, p.target.sensor, p.target.detect, p.clutter.rate),
+        names
+        | {
+            "target.detect.value": ("detection", ()),
+            "clutter.rate": ("clutter a scan", ()),
+        },
+    )
+
+
+def switching() -> Case:
+    """Makes a case of two targets that switch between two motions.
+
+    They stay 20 scans or more in each: IMM, which merges what it knows of older
+    switches, is the worse the oftener there are some.
+    """
+    import jax.numpy as jnp
+
+    from jaxtrack import models
+    from jaxtrack.targets import imm
+    from jaxtrack.trackers import single_scan
+
+    def params(slow: float, fast: float, leave: float, back: float) -> Any:
+        one = line(1.0, 1.0, 0.95, 1.0)
+        motions = tuple(
+            models.motion.ConstantVelocity(jnp.array([x])) for x in (slow, fast)
+        )
+        change = jnp.array([[1 - leave, leave], [back, 1 - back]])
+        modes = models.switching.MarkovSwitching(change)
+        target = imm.Params(motions, modes, *one[1:])
+        return single_scan.Params(target, None, clutter(1.0), there(1.0, 2, 2))
+
+    return Case(
+        patient(imm.imm(), 2),
+        params(0.05, 10.0, 0.02, 0.05),
+        params(0.1, 5.0, 0.05, 0.1),
+        lambda p: (p.target.motions, p.target.switching),
+        {
+            "target.motions[0].noise_density": ("noise of the slow mode", (0,)),
+            "target.motions[1].noise_density": ("noise of the fast mode", (0,)),
+            "target.switching.transition": ("slow to fast", (0, 1)),
+        },
+        (8, 150, 10),
+        smooth=False,
+    )
+
+
+def particles() -> Case:
+    """Makes the case of one target, followed by particles.
+
+    The draws are the same in every step of a fit, but which particles they choose
+    jumps with the parameters, and the evidence with it.
+    """
+    import jax.numpy as jnp
+
+    from jaxtrack import models, resampling
+    from jaxtrack.targets import imm
+    from jaxtrack.targets import particles as cloud
+
+    case = followed(one=True)
+
+    def several(params: Any) -> Any:
+        one, alone = params.target, models.switching.MarkovSwitching(jnp.ones((1, 1)))
+        return params._replace(target=imm.Params((one.motion,), alone, *one[1:]))
+
+    name, *rest = case.names
+    first = "target.motions[0].noise_density"
+    return case._replace(
+        tracker=patient(cloud.particles(200, scheme=resampling.soft(0.5)), 1),
+        params=several(case.params),
+        first=several(case.first),
+        where=lambda p: (p.target.motions, p.target.sensor),
+        names={first: case.names[name]} | {x: case.names[x] for x in rest},
+        smooth=False,
+        rough=True,
+    )
+
+
+def born(name: str, certain: bool = True) -> Case:
+    """Makes a case of targets that are born at a place and die.
+
+    Args:
+        name: Of the tracker.
+        certain: Whether its evidence is right enough to tell a missed detection and a
+            death apart; if not, their probabilities are known.
+    """
+    import jax.numpy as jnp
+
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import cbmember, cphd, intensity, mht, phd, pmbm, undetected
+
+    target, room = single.single(), {"max_tracks": 12}
+    # Merging widens components, which less noise would make up for.
+    cloud: Any = {"max_components": 40, "merge_threshold": 1.0}
+    cloud |= {"prune_threshold": 1e-4}
+    poisson = name in ("phd", "pmbm", "mht")
+    makers: dict[str, Callable[[], Any]] = {
+        "phd": lambda: phd.phd(target, **cloud),
+        "cphd": lambda: cphd.cphd(target, max_targets=8, **cloud),
+        "cbmember": lambda: cbmember.cbmember(target, **room),
+        "pmbm": lambda: pmbm.pmbm(
+            target, max_hypotheses=30, max_undetected=4, gate_prob=1.0, **room
+        ),
+        "mht": lambda: mht.mht(target, max_undetected=4, gate_prob=1.0, **room),
+    }
+    kinds = {
+        "phd": intensity.Params,
+        "cphd": intensity.Params,
+        "cbmember": cbmember.Params,
+    }
+
+    def params(
+        std: float,
+        detect: float,
+        survive: float,
+        rate: float,
+        more: tuple[float, float],
+    ) -> Any:
+        from jaxtrack.models.birth import PoissonBirth
+
+        births, place = more
+        birth = there(births, 1)
+        wide = jnp.diag(jnp.array([20.0**2, 1.0]))[None]
+        birth = birth._replace(mean=birth.mean.at[0, 0].set(place), cov=wide)
+        if poisson or name == "cphd":
+            birth = PoissonBirth(*birth)
+        kind = kinds.get(name, undetected.Params)
+        return kind(line(0.2, std, detect, survive), birth, clutter(rate))
+
+    unsure = (0.8, 0.9) if certain else (0.9, 0.95)
+    return Case(
+        makers[name](),
+        params(1.0, 0.9, 0.95, 2.0, (0.1, 0.0)),
+        params(1.4, *unsure, 3.0, (0.2, 10.0)),
+        lambda p: (
+            p.target.sensor,
+            (p.target.detect, p.target.survive) if certain else (),
+            p.clutter.rate,
+            p.birth[0],  # how many
+            p.birth.mean,
+        ),
+        {
+            "target.sensor.noise_std": ("sensor noise, m", (0,)),
+            "target.detect.value": ("detection", ()),
+            "target.survive.value": ("survival", ()),
+            "clutter.rate": ("clutter a scan", ()),
+            "birth.rate": ("births a scan", (0,)),
+            "birth.existence_prob": ("births a scan", (0,)),
+            "birth.mean": ("place of births, m", (0, 0)),
+        },
+        smooth=False,
+    )
