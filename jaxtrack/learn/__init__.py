@@ -28,6 +28,7 @@ import jax
 import optax
 
 from jaxtrack.learn import (
+    bar,
     em,
     history,
     information,
@@ -39,6 +40,7 @@ from jaxtrack.learn import (
     slopes,
     supports,
 )
+from jaxtrack.learn.bar import progress_bar
 from jaxtrack.learn.history import History
 from jaxtrack.learn.information import Information
 from jaxtrack.learn.loss import Loss, counted, evidence
@@ -46,6 +48,7 @@ from jaxtrack.types import Array, PyTree, Tracker
 
 __all__ = [
     "Fit",
+    "bar",
     "em",
     "fit",
     "history",
@@ -53,6 +56,7 @@ __all__ = [
     "leaves",
     "loop",
     "loss",
+    "progress_bar",
     "segments",
     "sizes",
     "slopes",
@@ -170,7 +174,8 @@ def fit(
             each number that is learned.
         directory: Where the fit is kept, in `fit.npz`; run again, it goes on and gives
             the same numbers. The optimiser's settings are taken to be the same.
-        progress: Called with the number of steps done, that of all, and the loss.
+        progress: Called with the number of steps done, that of all, and the loss;
+            `progress_bar` makes one.
 
     Returns:
         The parameters, and how well they are known.
