@@ -33,6 +33,11 @@ def poisson(**more):
     return tpmbm.tpmbm(scenes.target, **settings, **more)
 
 
+def born(**more):
+    settings = {"max_hypotheses": 150, **ALL, **BORN}
+    return tmbm.tmbm(scenes.target, **settings, **more)
+
+
 def certain(**more):
     settings = {"max_hypotheses": 200, "certain": True, **ALL, **CERTAIN}
     return tmbm.tmbm(scenes.target, **settings, **more)
@@ -48,8 +53,9 @@ TRACKERS = {
         poisson(trajectories="alive"),
     ),
     "multi-Bernoulli": (
-        tmbm.tmbm(scenes.target, max_hypotheses=150, **ALL, **BORN),
+        born(),
         mbm.mbm(scenes.target, max_hypotheses=150, exist_threshold=0.0, **ROOM, **BORN),
+        born(trajectories="alive"),
     ),
     "certain": (
         certain(),
@@ -62,7 +68,7 @@ TRACKERS = {
     ),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS)
-EVERY = [*((kind, False) for kind in KINDS), ("poisson", True), ("certain", True)]
+EVERY = [(kind, alive_only) for kind in KINDS for alive_only in (False, True)]
 
 
 def params_of(drawn, kind):
@@ -216,7 +222,7 @@ def test_paths_are_those_of_the_best_hypothesis(kind):
     assert shown > NUM
 
 
-@pytest.mark.parametrize("kind", ["poisson", "certain"])
+@every_kind
 def test_alive_paths_are_those_of_targets_that_are_there_now(kind):
     """From the beginning until now, in the best hypothesis, or not at all."""
     paths, shown, hidden = found(kind)[2].paths, 0, 0

@@ -86,9 +86,9 @@ def glmb_case():
     )
 
 
-def trajectory_case(target, params, num_modes):
+def trajectory_case(target, params, num_modes, **more):
     """A window of a scan, and one more that is smoothed."""
-    room = {"num_scans": 1, "lag": 1, "max_hypotheses": 8}
+    room = {"num_scans": 1, "lag": 1, "max_hypotheses": 8, **more}
     return line_case(tpmbm.tpmbm, target, params, num_modes, **room)
 
 
@@ -138,6 +138,12 @@ CASES = {
     "rmm_mht": rmm_case,
     "glmb": glmb_case,
     "tpmbm": lambda: trajectory_case(single.single(), trackers.single_params(), 1),
-    "tpmbm_imm": lambda: trajectory_case(imm.imm(), trackers.two_mode_params(), 2),
+    "tpmbm_imm": lambda: trajectory_case(
+        imm.imm(),
+        trackers.two_mode_params(),
+        2,
+        trajectories="alive",
+        num_birth_times=3,
+    ),
     "tmbm": born_case,
 }
