@@ -231,27 +231,29 @@ def numbers_of(result: Any, table: Any) -> dict[str, float]:
     }
 
 
-def whole(case: Case, settings: Any) -> dict[str, float]:
-    """Returns the same of all ships of the harbour, in the second half.
+def everywhere(settings: Any, name: str) -> Any:
+    """Returns settings of the box for all of the harbour, and a tracker's name."""
+    from jaxtrack.recorded import reading
 
-    Args:
-        case: Its tracker is made anew, with the capacities of the harbour's settings.
-        settings: Whose rates are those of the box.
-    """
+    plain = reading.harbour()
+    share = harbour()[1].sensor.clutter_rate / plain.sensor.clutter_rate
+    sensor, targets = settings.sensor, settings.targets
+    return settings._replace(
+        sensor=sensor._replace(clutter_rate=sensor.clutter_rate / share),
+        targets=targets._replace(birth_rate=targets.birth_rate / share),
+        scans=plain.scans,
+        tracker=plain.tracker._replace(name=name),
+    )
+
+
+def whole(settings: Any) -> dict[str, float]:
+    """Returns evidence and scores of all ships in the second half."""
     from jaxtrack.data import files
-    from jaxtrack.recorded import reading, tracking
+    from jaxtrack.recorded import tracking
 
     every = files.read_detections(files.harbour_path())
     table = within(every, every.time >= (every.time[0] + every.time[-1]) / 2)
-    share = harbour()[1].sensor.clutter_rate / reading.harbour().sensor.clutter_rate
-    sensor, targets = settings.sensor, settings.targets
-    chosen = settings._replace(
-        sensor=sensor._replace(clutter_rate=sensor.clutter_rate / share),
-        targets=targets._replace(birth_rate=targets.birth_rate / share),
-        scans=reading.harbour().scans,
-        tracker=reading.harbour().tracker._replace(name=case.settings.tracker.name),
-    )
-    return numbers_of(tracking.track(table, chosen), table)
+    return numbers_of(tracking.track(table, settings), table)
 
 
 def rows(found: dict[str, Any], case: Case) -> dict[str, Any]:
@@ -268,6 +270,24 @@ def rows(found: dict[str, Any], case: Case) -> dict[str, Any]:
         numbers = fitted.Numbers(**one["numbers"])
         made[f"fitted on {name}"] = fitted.settings(case.settings, numbers)
     return made
+
+
+def mixed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Returns settings by hand with a number that was found, and the other way round.
+
+    Args:
+        settings: From `rows`.
+    """
+    hand, found = (
+        settings["by hand"],
+        next(one for name, one in settings.items() if name.startswith("fitted")),
+    )
+    noise = hand.sensor._replace(noise_std=found.sensor.noise_std)
+    life = found.targets._replace(lifetime=hand.targets.lifetime)
+    return {
+        "by hand, noise_std fitted": hand._replace(sensor=noise),
+        "fitted, lifetime by hand": found._replace(targets=life),
+    }
 
 
 def scores_table(scores: dict[str, dict[str, dict[str, float]]]) -> str:
@@ -359,30 +379,49 @@ def kept(path: pathlib.Path, work: Callable[[], Any]) -> Any:
     return json.loads(path.read_text())
 
 
-def study(name: str, out: pathlib.Path) -> None:
-    """Does what is not done yet with a tracker, and writes what came out."""
+def fits(case: Case, name: str, out: pathlib.Path) -> dict[str, Any]:
+    """Returns what is found, by "HALF half, begun START"; fits what is not yet."""
+    found = {}
+    for begin, half in FITS:
+        work = functools.partial(
+            fit, case, begin, half, directory=out / f"{name}-{begin}-{half}"
+        )
+        one = kept(out / f"{name}-fit-{begin}-{half}.json", work)
+        found[word := f"{half} half, begun {begin}"] = one
+        print(f"{name}, {word}: {one['seconds']:.0f} s", flush=True)
+    return found
+
+
+def study(name: str, also: list[str], out: pathlib.Path) -> None:
+    """Does what is not done yet with a tracker, and writes what came out.
+
+    Args:
+        name: The tracker's.
+        also: Other trackers that have what it found, with all ships.
+        out: Where everything is kept.
+    """
     from jaxtrack.recorded import fitted
 
-    case, found = make(*harbour(), name), {}
-    for begin, half in FITS:
-        word = f"{half} half, begun {begin}"
-        path = out / f"{name}-fit-{begin}-{half}.json"
-        ways = out / f"{name}-{begin}-{half}"
-        work = functools.partial(fit, case, begin, half, directory=ways)
-        found[word] = one = kept(path, work)
-        print(f"{name}, {word}: {one['seconds']:.0f} s", flush=True)
-    scores: dict[str, Any] = {}
-    for word, settings in rows(found, case).items():
-        scores[word] = {}
+    case = make(*harbour(), name)
+    found, scores = fits(case, name, out), {}
+    every = rows(found, case)
+    for word, settings in mixed(every).items():
+        work = functools.partial(told, case, settings, "second")
+        one = kept(out / f"{name}-{word}-second.json", work)
+        scores[word] = {"second half, mixed": one}
+    for word, settings in every.items():
+        scores[word] = mine = {}
         for half in case.halves:
-            path = out / f"{name}-{word}-{half}.json"
             work = functools.partial(told, case, settings, half)
-            scores[word][f"{half} half"] = kept(path, work)
-        (out / f"{name}-{word}.toml").write_text(fitted.toml(settings))
-        path = out / f"{name}-{word}-whole.json"
-        if "second" not in word:  # which would be told of what it knows
-            work = functools.partial(whole, case, settings)
-            scores[word]["whole harbour, second half"] = kept(path, work)
+            mine[f"{half} half"] = kept(out / f"{name}-{word}-{half}.json", work)
+        if "second" in word:
+            continue  # it was fitted on what is asked for next
+        for other in (name, *also):
+            chosen = everywhere(settings, other)
+            work = functools.partial(whole, chosen)
+            one = kept(out / f"{name}-{word}-whole-{other}.json", work)
+            mine[f"second half, all ships, {other}"] = one
+            (out / f"{name}-{word}-{other}.toml").write_text(fitted.toml(chosen))
     text = scores_table(scores) + "\n" + numbers_table(case, found)
     (out / f"{name}.md").write_text(text)
     picture(case, found, out / f"{name}.png")
@@ -393,6 +432,9 @@ def main() -> None:
     """Fits through the trackers that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=["lmb", "mht"], metavar="tracker")
+    parser.add_argument(
+        "--also", nargs="*", default=["cbmember", "gnn"], metavar="tracker"
+    )
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("harbour_fit"))
     given = parser.parse_args()
     start.cores()
@@ -402,7 +444,7 @@ def main() -> None:
 
     jax.config.update("jax_enable_x64", True)
     for name in given.only:
-        study(name, given.out)
+        study(name, given.also, given.out)
 
 
 if __name__ == "__main__":

@@ -61,6 +61,16 @@ def test_settings_are_off_to_the_worse_side(case):
     np.testing.assert_allclose(off.detect_prob, [0.5 / 1.5, 0.75])
 
 
+def test_settings_are_mixed_number_by_number(case):
+    given = found(case)["first half, begun by hand"]
+    given["numbers"] |= {"noise_std": 0.25, "lifetime": 7.0}
+    noise, life = harbour_fit.mixed(harbour_fit.rows({"one": given}, case)).values()
+    assert (noise.sensor.noise_std, life.sensor.noise_std) == (0.25, 0.25)
+    assert noise.targets.lifetime == case.settings.targets.lifetime
+    assert life.targets.lifetime == case.settings.targets.lifetime
+    assert noise.modes == case.settings.modes
+
+
 def test_tables_tell_evidence_scores_and_numbers(case, tmp_path):
     made = harbour_fit.rows(found(case), case)
     assert list(made) == ["by hand", "off by 3", "fitted on first half, begun by hand"]
