@@ -17,8 +17,8 @@ class Case(NamedTuple):
         where: What is learned.
         names: By path, what it is called and, of several numbers, which is shown.
         size: Recordings, scans of each, slots of a scan.
-        smooth: Whether the evidence is, so that a quasi-Newton method finds its way.
-            It stops before a cliff, where Adam goes on.
+        steps: Of Adam, slower and slower; 0 where the evidence is so smooth that a
+            quasi-Newton method finds its way, which stops before a cliff.
         rough: Whether it is so rough that a mean of Adam's last steps is better than
             the place of the least loss, and its Hessian means nothing.
     """
@@ -29,7 +29,7 @@ class Case(NamedTuple):
     where: Callable[[Any], Any]
     names: dict[str, tuple[str, tuple[int, ...]]]
     size: tuple[int, int, int] = (8, 50, 12)
-    smooth: bool = True
+    steps: int = 0
     rough: bool = False
 
 
@@ -175,7 +175,7 @@ def switching() -> Case:
             "target.switching.transition": ("slow to fast", (0, 1)),
         },
         (8, 150, 10),
-        smooth=False,
+        steps=100,
     )
 
 
@@ -200,12 +200,12 @@ def particles() -> Case:
     name, *rest = case.names
     first = "target.motions[0].noise_density"
     return case._replace(
-        tracker=patient(cloud.particles(200, scheme=resampling.soft(0.5)), 1),
+        tracker=patient(cloud.particles(400, scheme=resampling.soft(0.5)), 1),
         params=several(case.params),
         first=several(case.first),
         where=lambda p: (p.target.motions, p.target.sensor),
         names={first: case.names[name]} | {x: case.names[x] for x in rest},
-        smooth=False,
+        steps=100,
         rough=True,
     )
 
@@ -254,18 +254,20 @@ def born(name: str, certain: bool = True) -> Case:
 
         births, place = more
         birth = there(births, 1)
-        wide = jnp.diag(jnp.array([20.0**2, 1.0]))[None]
-        birth = birth._replace(mean=birth.mean.at[0, 0].set(place), cov=wide)
+        cov = jnp.diag(jnp.array([width**2, 1.0]))[None]
+        birth = birth._replace(mean=birth.mean.at[0, 0].set(place), cov=cov)
         if poisson or name == "cphd":
             birth = PoissonBirth(*birth)
         kind = kinds.get(name, undetected.Params)
         return kind(line(0.2, std, detect, survive), birth, clutter(rate))
 
     unsure = (0.8, 0.9) if certain else (0.9, 0.95)
+    # A newborn that is hard to tell from clutter is what a Poisson process does worst.
+    width = 5.0 if name in ("phd", "cphd") else 20.0
     return Case(
         makers[name](),
         params(1.0, 0.9, 0.95, 2.0, (0.1, 0.0)),
-        params(1.4, *unsure, 3.0, (0.2, 10.0)),
+        params(1.4, *unsure, 3.0, (0.2, width / 2)),
         lambda p: (
             p.target.sensor,
             (p.target.detect, p.target.survive) if certain else (),
@@ -282,5 +284,5 @@ def born(name: str, certain: bool = True) -> Case:
             "birth.existence_prob": ("births a scan", (0,)),
             "birth.mean": ("place of births, m", (0, 0)),
         },
-        smooth=False,
+        steps=40 if name in ("pmbm", "mht") else 100,
     )
