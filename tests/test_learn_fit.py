@@ -94,35 +94,6 @@ def test_all_scans_count_for_the_information_of_minibatches():
     np.testing.assert_allclose(found.hessian, expected, rtol=1e-9, atol=1e-6)
 
 
-def test_information_about_nothing_is_told_as_such():
-    hessian = np.diag([4.0, 0.0])
-    np.testing.assert_array_equal(information.std_of(np.eye(2), hessian), [0.5, np.inf])
-    np.testing.assert_array_equal(
-        information.cov_of(hessian), [[0.25, 0.0], [0.0, np.inf]]
-    )
-
-
-def test_what_is_not_at_a_maximum_has_no_error():
-    hessian = np.array([[4.0, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
-    rows = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
-    # Along (0, 1, 1) the information is 3, and along (0, 1, -1) it is -1.
-    expected = [0.5, np.nan, (2 / 3) ** 0.5]
-    np.testing.assert_allclose(information.std_of(rows, hessian), expected, rtol=1e-12)
-    cov = information.cov_of(hessian)
-    np.testing.assert_array_equal(cov, np.diag([0.25, np.nan, np.nan]))
-
-
-def test_the_covariance_is_the_inverse_whatever_the_units():
-    root = np.random.default_rng(0).normal(size=(4, 4)) * [1e3, 1.0, 1.0, 1e-3]
-    hessian = root.T @ root
-    np.testing.assert_allclose(
-        information.cov_of(hessian), np.linalg.inv(hessian), rtol=1e-8
-    )
-    row = np.array([[1e3, -2.0, 0.5, 1e-3]])
-    expected = np.sqrt((row @ np.linalg.inv(hessian) @ row.T)[0])
-    np.testing.assert_allclose(information.std_of(row, hessian), expected, rtol=1e-8)
-
-
 def test_a_prior_pulls_towards_what_it_likes():
     def prior(p):
         return -((p.mean - 3.0) ** 2) / 2 / 0.01

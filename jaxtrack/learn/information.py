@@ -3,9 +3,9 @@
 The information is the Hessian of the total negative log-evidence, less the log-prior,
 in the free numbers, by central differences of its exact slopes. Standard errors are
 those of the parameters themselves, by the delta method. A parameter that the scans tell
-nothing about, alone or apart from others, has an infinite one; one along which the
-information is negative, so that the place is not at a maximum, has NaN. Where the
-evidence is an approximation they are as good as that.
+nothing about, alone or apart from others, has an infinite one; one that lies along a
+direction in which the information is negative, so that the place is not at a maximum,
+has NaN. Where the evidence is an approximation they are as good as that.
 
     >>> import numpy as np
     >>> from jaxtrack.learn import information
@@ -28,6 +28,10 @@ from jax.flatten_util import ravel_pytree
 
 from jaxtrack.learn import leaves, slopes
 from jaxtrack.types import PyTree
+
+# The share of a parameter, in squares, along directions of negative information, below
+# which the others tell its error.
+ASIDE = 0.01
 
 
 class Information(NamedTuple):
@@ -105,15 +109,16 @@ def std_of(
 
     Returns:
         [E]; infinite for what depends on something that there is no information about,
-        NaN for what depends on something of which it is negative.
+        NaN for what depends on something of which it is negative, by `ASIDE` or more.
     """
     value, vector = _axes(hessian)
     square = (rows @ vector) ** 2
-    known = value > tolerance
-    matters = square > tolerance * square.sum(1, keepdims=True)
+    whole = square.sum(1)
+    known, negative = value > tolerance, value < -tolerance
+    matters = square > tolerance * whole[:, None]
     variance = np.where(known, square / np.where(known, value, 1.0), 0.0).sum(1)
-    std = np.where((matters & ~known).any(1), np.inf, np.sqrt(variance))
-    return np.where((matters & (value < -tolerance)).any(1), np.nan, std)
+    std = np.where((matters & ~known & ~negative).any(1), np.inf, np.sqrt(variance))
+    return np.where((square * negative).sum(1) > ASIDE * whole, np.nan, std)
 
 
 def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:
