@@ -232,8 +232,14 @@ def born(name: str, certain: bool = True) -> Case:
         "phd": lambda: phd.phd(target, **cloud),
         "cphd": lambda: cphd.cphd(target, max_targets=8, **cloud),
         "cbmember": lambda: cbmember.cbmember(target, **room),
+        # Weak tracks that go back to those undetected need no hypotheses of their own.
         "pmbm": lambda: pmbm.pmbm(
-            target, max_hypotheses=30, max_undetected=4, gate_prob=1.0, **room
+            target,
+            max_hypotheses=30,
+            max_undetected=24,
+            recycle_threshold=0.3,
+            gate_prob=1.0,
+            **room,
         ),
         "mht": lambda: mht.mht(target, max_undetected=4, gate_prob=1.0, **room),
     }

@@ -8,8 +8,9 @@ import json
 import jax
 import numpy as np
 import pytest
+from scipy import stats
 
-from benchmarks import climit, common, problems, table
+from benchmarks import climit, common, evidence, learning, problems, table
 
 FAST = ("gaussians",)
 SLOW = (
@@ -168,3 +169,34 @@ def test_the_page_on_performance_tells_the_results_that_are_kept():
         assert table.number(row["ratio_to_peer"] or row["ratio_to_limit"]) in told[name]
         if row["ratio_to_limit"] is not None:
             assert table.number(row["ratio_to_limit"]) in told[name]
+
+
+def test_the_list_of_what_known_targets_did_is_whole():
+    """Of one scan: both missed, one of them seen, or each of them."""
+    places, valid = np.array([[1.0, -3.0]]), np.array([[True, True]])
+    false = evidence.CLUTTER / (2 * evidence.HALF)
+    sequences = np.array([[-1], [0], [1]])
+    one, other = (
+        np.exp([evidence.alone(place, places, x) for x in sequences])
+        for place in evidence.PLACES
+    )
+    ways = one[:, None] * other[None]
+    ways[1, 1] = ways[2, 2] = 0.0
+    expected = np.log(ways.sum() * false**2) - evidence.CLUTTER
+    assert evidence.listed(places, valid) == pytest.approx(expected, rel=1e-12)
+    # The one expected at 2 m has come nearer to 0, and is seen at 1 m.
+    x = 1 / evidence.TIME
+    mean = np.exp(-x) * (1 + x) * 2.0
+    step = np.exp(-x) * np.array([1 + x, 1.0])
+    rest = np.array([evidence.STD, evidence.STD / evidence.TIME]) ** 2
+    var = rest[0] - (step**2 * rest).sum() + (step**2).sum() * evidence.STD_KNOWN**2
+    density = stats.norm(mean, np.hypot(np.sqrt(var), evidence.SENSOR)).pdf(1.0)
+    assert other[1] == pytest.approx(evidence.DETECT * density / false, rel=1e-12)
+
+
+def test_the_table_of_fits_counts_what_lies_within_two_errors():
+    row = {"case": "PHD", "seconds": 2.0, "stopped": "converged"}
+    found = (1.1, 0.1), (1.3, 0.1), (0.9, None), (1.0, 0.2)
+    fits = [row | {"rows": {"noise": [1.0, *pair]}} for pair in found]
+    *_, last = learning.table(fits, {"PHD": 400}).strip().splitlines()
+    assert last == "| PHD | noise | 1 | 1.075 ± 0.085 | 0.15 | 50% | 400 | 2 |"
