@@ -317,7 +317,7 @@ def numbers_table(case: Case, found: dict[str, Any]) -> str:
     from jaxtrack.recorded import fitted
 
     modes = case.settings.modes
-    moving = {"drift_std": [key for key, mode in modes.items() if mode.rest]}
+    resting = {"drift_std": [key for key, mode in modes.items() if mode.rest]}
     hand = lists(fitted.numbers(case.settings)._asdict())
     lines = [
         f"| | by hand | {' | '.join(found)} |",
@@ -325,7 +325,7 @@ def numbers_table(case: Case, found: dict[str, Any]) -> str:
     ]
     for key, value in hand.items():
         columns = [hand, *(one["numbers"] for one in found.values())]
-        names = moving.get(key, list(modes)) if np.ndim(value) else [""]
+        names = resting.get(key, list(modes)) if np.ndim(value) else [""]
         cells = [np.atleast_1d(one[key]) for one in columns]
         for i, name in enumerate(names):
             told = " | ".join(f"{float(one[i]):.3g}" for one in cells)

@@ -124,13 +124,14 @@ def table(fits: list[dict[str, Any]], sizes: dict[str, int]) -> str:
             every = np.array([each["rows"][word] for each in mine], float)
             truth, found, error = every.T
             fine = np.isfinite(error)
-            inside = (fine & (np.abs(found - truth) <= 2 * error)).mean()
+            inside = (np.abs(found - truth) <= 2 * error)[fine]
+            covered = f"{inside.mean():.0%} of {len(inside)}" if fine.any() else "–"
             spread = np.inf
             if len(found) > 1:
                 spread = found.std(ddof=1) / np.sqrt(len(found))
             mean = f"{found.mean():.4g} ± {spread:.2g}"
-            typical = np.median(np.where(fine, error, np.inf))
-            numbers = f"{truth[0]:g}", mean, f"{typical:.2g}", f"{inside:.0%}"
+            typical = f"{np.median(error[fine]):.2g}" if fine.any() else "–"
+            numbers = f"{truth[0]:g}", mean, typical, covered
             lines.append(_row([name, word, *numbers, *rest]))
             name, rest = "", ("", "")
     return "\n".join(lines) + "\n"

@@ -199,4 +199,4 @@ def test_the_table_of_fits_counts_what_lies_within_two_errors():
     found = (1.1, 0.1), (1.3, 0.1), (0.9, None), (1.0, 0.2)
     fits = [row | {"rows": {"noise": [1.0, *pair]}} for pair in found]
     *_, last = learning.table(fits, {"PHD": 400}).strip().splitlines()
-    assert last == "| PHD | noise | 1 | 1.075 ± 0.085 | 0.15 | 50% | 400 | 2 |"
+    assert last == "| PHD | noise | 1 | 1.075 ± 0.085 | 0.1 | 67% of 3 | 400 | 2 |"

@@ -23,6 +23,15 @@ def test_what_is_not_at_a_maximum_has_no_error():
     np.testing.assert_array_equal(cov, np.diag([0.25, np.nan, np.nan]))
 
 
+def test_little_negative_information_bears_as_much_as_little_positive():
+    """What it would add to the variance counts, not how much lies along it."""
+    axis = np.array([1.0, -0.8, 0.05])
+    turn = np.linalg.qr(np.stack([axis, [0.8, 1.0, 0.3], [0.1, 0.2, 1.0]], 1))[0]
+    for value in 1e-2, 1e-4, 1e-6:
+        hessian = turn @ np.diag([-value, 1.0, 1.0]) @ turn.T
+        assert np.isnan(information.std_of(np.eye(3), hessian)).all()
+
+
 def test_what_lies_nearly_aside_of_a_negative_direction_has_an_error():
     slant = 0.05  # of which the square is below a hundredth
     turn = np.array([[1.0, slant], [-slant, 1.0]]) / np.hypot(1.0, slant)

@@ -111,15 +111,41 @@ def test_alive_trajectories_go_with_their_targets():
 
 def test_ends_are_where_they_are_likeliest():
     begun = jnp.array([False, True, True, True])
-    for alive, older, expected in (
-        ([0.0, 1.0, 1.0, 0.9], False, [0, 1, 1, 1]),
-        ([0.0, 1.0, 0.4, 0.3], False, [0, 1, 0, 0]),
+    for alive, never, expected in (
+        ([0.0, 1.0, 1.0, 0.9], 0.0, [0, 1, 1, 1]),
+        ([0.0, 1.0, 0.4, 0.3], 0.0, [0, 1, 0, 0]),
         # Whether it ever was is another question.
-        ([0.0, 0.6, 0.3, 0.1], False, [0, 1, 0, 0]),
-        ([0.0, 0.6, 0.3, 0.1], True, [0, 0, 0, 0]),
+        ([0.0, 0.6, 0.3, 0.1], 0.4, [0, 1, 0, 0]),
+        # It may have ended before the window.
+        ([0.0, 0.6, 0.3, 0.1], 0.05, [0, 0, 0, 0]),
     ):
-        found = trajectories.ended(jnp.array(alive), begun, older)
+        found = trajectories.ended(jnp.array(alive), begun, never)
         assert found.tolist() == [bool(x) for x in expected]
+
+
+def test_an_old_track_goes_on_though_it_may_never_have_been():
+    """Of all lives of a target that was seen once, the longest is the likeliest."""
+    drawn = {**scenes.draw(0), "clutter": 0.5, "births": 0.6, "detect": 0.2}
+    params = scenes.params_of({**drawn, "survive": 0.9})._replace(undetected=None)
+    seen = np.array([True] + 4 * [False])
+    scans = Scan(np.zeros((5, 1, 1)), seen[:, None], np.full(5, scenes.INTERVAL))
+    room = {"max_tracks": 3, "max_leaves": 6, "max_undetected": 2, **ROOM}
+    tracker = tpmbm.tpmbm(
+        scenes.target, num_scans=1, lag=1, report_threshold=0.2, **room
+    )
+    told = jax.jit(functools.partial(run, tracker))(params, scans)
+    at = int(np.argmax(told.label[0] == 0))
+    first = float(told.existence_prob[0, at])
+    missed = 0.9 * (1 - 0.2)
+    ends = first * missed ** np.arange(5) * np.where(np.arange(5) < 4, 1 - 0.9, 1.0)
+    never = 1 - first
+    # Its window holds three scans; it begins before, and ended there or never was.
+    assert ends[4] > ends[:2].sum()
+    assert ends[4] < ends[:2].sum() + never
+    at = int(np.argmax(told.paths.label[4] == 0))
+    alive = np.cumsum(ends[::-1])[::-1] / (ends.sum() + never)
+    np.testing.assert_allclose(told.paths.alive_prob[4, at], alive[2:], rtol=1e-9)
+    assert told.paths.alive[4, at].tolist() == [True, True, True]
 
 
 def test_what_finds_no_room_is_counted():

@@ -50,7 +50,7 @@ def test_of_alive_trajectories_each_scan_is_told_of_those_that_are_there(
     plain, scan = reported(), np.arange(SCANS)[:, None]
     there = np.stack([scan < 3, scan == 5], 1)
     likely = np.stack([0.2 * scan * (scan < 4) + 0.2, 0.1 * scan + 0.4], 1)
-    begun = plain.alive & np.array([True, True])[None, :, None]
+    begun = plain.alive
     paths = plain._replace(
         begun=begun, alive=begun & there, alive_prob=np.where(begun, likely, 0.0)
     )

@@ -5,7 +5,8 @@ in the free numbers, by central differences of its exact slopes. Standard errors
 those of the parameters themselves, by the delta method. A parameter that the scans tell
 nothing about, alone or apart from others, has an infinite one; one that lies along a
 direction in which the information is negative, so that the place is not at a maximum,
-has NaN. Where the evidence is an approximation they are as good as that.
+has NaN, unless this would be a hundredth of its variance if it were positive. Where the
+evidence is an approximation they are as good as that.
 
     >>> import numpy as np
     >>> from jaxtrack.learn import information
@@ -27,10 +28,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxtrack.learn import leaves, slopes
+from jaxtrack.learn.loss import evidence
 from jaxtrack.types import PyTree
 
-# The share of a parameter, in squares, along directions of negative information, below
-# which the others tell its error.
+# By what share of its variance a direction of negative information may bear on a
+# parameter, were it positive, before nothing is told of that one.
 ASIDE = 0.01
 
 
@@ -44,8 +46,8 @@ class Information(NamedTuple):
             information about has an infinite variance, and counts as independent;
             so does what has NaN.
         std_error: Of the learned arrays by path; 0 where an entry does not move,
-            infinite where nothing is known, NaN where the information is negative (in
-            float32 rounding may make it so where next to nothing is known).
+            infinite where nothing is known, NaN where negative information bears on it
+            (in float32 rounding may make it so where next to nothing is known).
             They are meant for a maximum: a fit that ran out of steps may not be at one,
             even if they are finite.
     """
@@ -63,12 +65,15 @@ def observed(
 
     Args:
         problem: With a loss that is log-evidence, see `loss.counted`; all of the data
-            count, but for the scans that come before those held out.
+            count, but for the scans that come before those held out. Where windows
+            were drawn these come to be held out, too.
         params: Those at the start.
         data: Of all recordings.
         free: Where.
     """
     whole = problem._replace(batch=None, window=None)
+    if problem.window is not None:
+        whole = whole._replace(loss=evidence)
     vector, unravel = ravel_pytree(free)
     centre = np.asarray(vector)
     key = data.keys[0]
@@ -109,16 +114,19 @@ def std_of(
 
     Returns:
         [E]; infinite for what depends on something that there is no information about,
-        NaN for what depends on something of which it is negative, by `ASIDE` or more.
+        NaN for what depends on something of which it is negative, by more than
+        `ASIDE` of the variance.
     """
     value, vector = _axes(hessian)
     square = (rows @ vector) ** 2
-    whole = square.sum(1)
     known, negative = value > tolerance, value < -tolerance
-    matters = square > tolerance * whole[:, None]
-    variance = np.where(known, square / np.where(known, value, 1.0), 0.0).sum(1)
+    matters = square > tolerance * square.sum(1, keepdims=True)
+    each = square / np.where(known | negative, np.abs(value), 1.0)
+    variance = np.where(known, each, 0.0).sum(1)
     std = np.where((matters & ~known & ~negative).any(1), np.inf, np.sqrt(variance))
-    return np.where((square * negative).sum(1) > ASIDE * whole, np.nan, std)
+    bears = (matters & negative).any(1)
+    bears = bears & (np.where(negative, each, 0.0).sum(1) > ASIDE * variance)
+    return np.where(bears, np.nan, std)
 
 
 def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:

@@ -4,7 +4,8 @@ With Poisson births a target may have been there for some scans before one of th
 detects it. Each component of the intensity of undetected targets carries the
 distribution of the time since its targets were born; the first detection mixes those
 of the components by what it says of each. From then on there is one belief about the
-target, and what is detected later says no more of its birth.
+target, so that later detections no longer change it, as they would where components
+differ in what they expect of them: an approximation there.
 
     >>> import jax.numpy as jnp
     >>> from jaxtrack.trackers import birth_times

@@ -42,6 +42,7 @@ class History(NamedTuple):
         seen: Whether the leaf has a detection of it, [N, L, W] (bool).
         interval: Seconds before each scan, [W].
         num: How many scans there have been.
+        log_never: Log-probability that there never was a target, [N, L].
         birth_prob: How likely each target was born 0, 1, ..., A - 1 or more scans
             before its first detection, [N, A]; of known targets 0. None for no answer.
     """
@@ -52,6 +53,7 @@ class History(NamedTuple):
     seen: Array
     interval: Array
     num: Array
+    log_never: Array | None = None
     birth_prob: Array | None = None
 
 
@@ -107,6 +109,7 @@ def begin(trees: Forest, delay: int, num_birth_times: int = 0) -> History:
         seen=jnp.zeros((*exists.shape, size), bool),
         interval=jnp.zeros(size, exists.dtype),
         num=jnp.array(0),
+        log_never=safe_log(1 - exists),
         birth_prob=None if unborn is None else 0 * unborn,
     )
 
@@ -147,13 +150,20 @@ def remember(
     old = jnp.concatenate([before[tree, parent], jnp.zeros_like(score[num:])])
     there = (score > -jnp.inf) & (old > -jnp.inf)
     gain = jnp.where(there, score, 0.0) - jnp.where(there, old, 0.0)
+    seen = trees.past[:, :, -1] >= 0
+    # Who is seen again was there; what is new exists now or never did.
+    assert history.log_never is not None, "begin gives it"
+    never = jnp.minimum(history.log_never[tree, parent] - gain[:num], 0.0)
+    never = jnp.where(seen[:num], -jnp.inf, never)
+    first = safe_log(1 - trees.existence_prob[num:])
     return History(
         belief=jax.tree.map(add, history.belief, trees.belief),
         existence_prob=add(history.existence_prob, trees.existence_prob),
         log_gain=add(history.log_gain, gain),
-        seen=add(history.seen, trees.past[:, :, -1] >= 0),
+        seen=add(history.seen, seen),
         interval=jnp.append(history.interval[1:], interval),
         num=history.num + 1,
+        log_never=jnp.concatenate([never, first]).astype(gain.dtype),
         birth_prob=birth_times.added(
             history.birth_prob, births, trees.past[num:, 0, -1]
         ),

@@ -71,7 +71,8 @@ def tpmbm(
             those of targets that are there now, in fewer trees.
         num_birth_times: A, how many scans are told apart in which a target may have
             been born: that of its first detection, the one before, ..., the last of
-            them or an earlier one; 0 for no such answer (`paths.birth_prob`).
+            them or an earlier one; 0 for no such answer (`paths.birth_prob`, which
+            later detections do not change).
 
     Raises:
         ValueError: A setting that makes no sense.

@@ -32,6 +32,8 @@ from jaxtrack.trackers.forest import Forest
 from jaxtrack.trackers.retrodiction import History
 from jaxtrack.types import Array, Target
 
+ROUNDING = 10.0  # errors of a probability
+
 
 class Paths(NamedTuple):
     """N tracks through the last W scans, the newest last.
@@ -80,18 +82,19 @@ class Trajectories(NamedTuple):
     birth_prob: Array | None = None
 
 
-def ended(alive_prob: Array, begun: Array, older: Array | bool = False) -> Array:
+def ended(alive_prob: Array, begun: Array, never: Array | float = 0.0) -> Array:
     """Tells in which of W scans a target was there, by its likeliest end, [W] (bool).
 
     Args:
         alive_prob: That it was there, [W].
         begun: From where on, [W] (bool).
-        older: Whether it began before the window, and so may have ended there, too.
+        never: How likely there never was one; what is left ended before the window.
     """
     after = jnp.append(alive_prob[1:], 0.0)
     at_end = jnp.where(begun, alive_prob - after, -1.0)
-    before = jnp.where(older, 1 - jnp.where(begun, alive_prob, 0.0).max(), 0.0)
-    last = jnp.where(at_end.max() >= before, jnp.argmax(at_end), -1)
+    before = 1 - jnp.where(begun, alive_prob, 0.0).max() - never
+    slack = ROUNDING * jnp.finfo(alive_prob.dtype).eps
+    last = jnp.where(at_end.max() >= before - slack, jnp.argmax(at_end), -1)
     return begun & (jnp.arange(begun.size) <= last)
 
 
@@ -142,8 +145,9 @@ def paths(
         there, jax.vmap(each, (0, 0, 0, None))(exists, gain, seen, scan), 0.0
     )
     reported = (best >= 0) & (prob.max(1) > threshold)
-    older = trees.age > jnp.minimum(history.num, size)
-    alive = jax.vmap(ended)(prob, there, older) & reported[:, None]
+    assert history.log_never is not None, "begin gives it"
+    never = jnp.exp(history.log_never[tree, shown])
+    alive = jax.vmap(ended)(prob, there, never) & reported[:, None]
     return Paths(*means, prob, alive, trees.label, birth_prob=born)
 
 
@@ -228,7 +232,8 @@ def assemble(
     born = reported.birth_prob
     if born is not None:
         # The same in all reports of a track.
-        at = jnp.argmax(kept[:, None] == reported.label.reshape(1, -1), axis=1)
-        own = born.reshape(-1, born.shape[-1])[at]
+        every, born = reported.label.ravel(), born.reshape(-1, born.shape[-1])
+        order = jnp.argsort(every)
+        own = born[order[jnp.searchsorted(every[order], kept)]]
         born = jnp.where((kept >= 0)[:, None], own, 0.0)
     return Trajectories(kept, mean, here, dropped, born)

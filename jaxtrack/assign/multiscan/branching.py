@@ -103,17 +103,19 @@ def branch(
         known: A selection, and prices; the better they are, the fewer nodes. One that
             is not feasible is returned as it is.
         max_nodes: Of each cluster with a gap, at most.
-        tolerance: A gap, in the unit of the scores and beyond their rounding, that is
-            none.
+        tolerance: What a search may leave of a cluster, in the unit of the scores and
+            beyond their rounding; the bound counts it.
 
     Returns:
         The best selection if no search ran out of nodes, at the same prices.
 
     Raises:
-        ValueError: There is no node.
+        ValueError: There is no node, or the tolerance is negative.
     """
     if max_nodes < 1:
         raise ValueError(f"max_nodes is {max_nodes}; give at least 1")
+    if not tolerance >= 0:
+        raise ValueError(f"tolerance is {tolerance}; give 0 or more")
     fixed, known = jax.lax.stop_gradient((problem, known))
     given, cluster = slots(*fixed, num_detections), label(fixed, num_detections)
     loss, gap, own = _gaps(given, known, cluster)
@@ -128,12 +130,14 @@ def branch(
         price = jnp.where(own == which, table, 0.0)
         levels = _levels(given, loss, gap[which], cluster == which, price, margin)
         leaf, rest = _search(levels, leaf, gap[which], max_nodes)
-        return leaf, gap.at[which].set(0.0), left + rest
+        return leaf, gap.at[which].set(0.0), left.at[which].set(rest + margin)
 
-    state = known.leaf.astype(jnp.int32), gap, jnp.zeros((), loss.dtype)
+    # What is not searched leaves its gap.
+    state = known.leaf.astype(jnp.int32), gap, gap
     leaf, _, left = jax.lax.while_loop(more, search, state)
     found = answer(problem, leaf, known.price)
-    limit = jnp.minimum(jax.lax.stop_gradient(found.log_score) + left, found.log_bound)
+    limit = jax.lax.stop_gradient(found.log_score) + left.sum()
+    limit = jnp.minimum(limit, found.log_bound)
     return found._replace(log_bound=jnp.where(known.feasible, limit, found.log_bound))
 
 

@@ -5,7 +5,8 @@ apart: an assignment of trees to detections in two dimensions, in which each tre
 detection is represented by its best leaf. The scores are shared out over the copies,
 by multipliers that move until the copies agree (equations 36 to 46). What all copies
 agree on is kept, and other trees choose among the leaves that are left. Where rounds
-end and a gap remains, branch and bound decides (`branching`).
+end and a gap remains, branch and bound decides (`branching`); the paper branches in
+every round.
 
 The least bound is the value of the linear relaxation (`relax`), as for `lagrangian`.
 
@@ -97,10 +98,13 @@ def decomposition(
         max_nodes: Of branch and bound, in each cluster with a gap; 0 for none of it.
 
     Raises:
-        ValueError: There is no round.
+        ValueError: There is no round, or `tolerance` or `max_nodes` is negative.
     """
     if max_rounds < 1:
         raise ValueError(f"max_rounds is {max_rounds}; give at least 1")
+    for name, least in {"tolerance": tolerance, "max_nodes": max_nodes}.items():
+        if not least >= 0:
+            raise ValueError(f"{name} is {least}; give 0 or more")
     given = slots(*jax.lax.stop_gradient(problem), num_detections)
     least = tolerance + rounding(given)
 
