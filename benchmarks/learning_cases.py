@@ -290,5 +290,5 @@ def born(name: str, certain: bool = True) -> Case:
             "birth.existence_prob": ("births a scan", (0,)),
             "birth.mean": ("place of births, m", (0, 0)),
         },
-        steps=40 if name in ("pmbm", "mht") else 100,
+        steps=100,
     )
