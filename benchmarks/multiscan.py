@@ -123,7 +123,9 @@ def selections(num_detections: int) -> dict[str, Callable]:
         "greedy": greedy.greedy,
         "Lagrangian": lagrangian.lagrangian,
         "Lagrangian, a scan kept": functools.partial(lagrangian.lagrangian, keep=-1),
-        "dual decomposition": decomposition.decomposition,
+        "dual decomposition": functools.partial(
+            decomposition.decomposition, max_nodes=0
+        ),
     }
     made = {
         name: functools.partial(solve, num_detections=num_detections)
