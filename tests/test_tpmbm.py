@@ -16,6 +16,7 @@ from jaxtrack.trackers import (
     forest,
     growing,
     mht,
+    remembering,
     retrodiction,
     tmbm,
     tpmbm,
@@ -218,7 +219,7 @@ def test_a_tree_is_awaited_where_its_detection_was_likely_of_a_target():
     exists = jnp.array([[[1e-6, 1e-7]], [[0.9, 0.5]], [[0.9, 0.9]]])
     seen = jnp.array([[[True, False]], [[True, False]], [[True, True]]])
     gain = jnp.log(jnp.array([[[1.0, 1.0]], [[1.0, 0.2]], [[1.0, 1.0]]]))
-    history = retrodiction.History(None, exists, gain, seen, jnp.ones(2), 2)
+    history = remembering.History(None, exists, gain, seen, jnp.ones(2), 2)
     found = retrodiction.awaited(history, jnp.array([0, 0, -1]), 2 * jnp.ones(3), 1e-3)
     assert found.tolist() == [False, True, False]
     # What was before a tree began says nothing of it.

@@ -36,6 +36,7 @@ from jaxtrack.trackers import (
     forest,
     growing,
     multiscan_choice,
+    remembering,
     retrodiction,
     thinning,
     trajectories,
@@ -69,7 +70,7 @@ class State(NamedTuple):
     undetected: Undetected
     next_label: Array
     key: Array
-    history: retrodiction.History | None = None
+    history: remembering.History | None = None
 
 
 class Settings(NamedTuple):
@@ -163,7 +164,7 @@ def _init(settings: Settings, params: Params, key: Array) -> State:
     history = None
     if settings.delay is not None:
         times = settings.num_birth_times
-        history = retrodiction.begin(trees, settings.delay, times)
+        history = remembering.begin(trees, settings.delay, times)
     return State(trees, best, known, zero, hidden, known.sum(), keys[2], history)
 
 
@@ -179,7 +180,7 @@ def _step(
     if history is not None:
         before = met.trees.log_score[:num], trees, grown.parent[:num]
         births = None if met.firsts is None else met.firsts.birth_prob
-        history = retrodiction.remember(history, *before, scan.interval, births)
+        history = remembering.remember(history, *before, scan.interval, births)
     found = _chooser(settings)(trees, sure, held, len(scan.valid))
     missed = state.undetected if met.firsts is None else met.firsts.missed
     hidden, unseen = undetected.reduce(missed, settings.max_undetected)
@@ -204,7 +205,7 @@ def _step(
     )
     estimate = _some(estimate, pruned.kept, grown.lost)
     if history is not None:
-        history = retrodiction.keep(history, pruned.kept)
+        history = remembering.keep(history, pruned.kept)
         here = leaf[0][pruned.kept], leaf[1][pruned.kept]
         estimate = _look_back(settings, params, history, pruned.trees, here, estimate)
     return State(*pruned[:4], hidden, label, key, history), estimate
@@ -268,7 +269,7 @@ def _grow(
 def _look_back(
     settings: Settings,
     params: Params,
-    history: retrodiction.History,
+    history: remembering.History,
     trees: Forest,
     leaf: tuple[Array, Array],
     estimate: verdict.Estimate,

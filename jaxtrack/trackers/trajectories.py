@@ -29,7 +29,7 @@ import jax.numpy as jnp
 
 from jaxtrack.trackers import retrodiction
 from jaxtrack.trackers.forest import Forest
-from jaxtrack.trackers.retrodiction import History
+from jaxtrack.trackers.remembering import History
 from jaxtrack.types import Array, Target
 
 ROUNDING = 10.0  # errors of a probability

@@ -15,10 +15,10 @@ out of nodes tells how much better another may be.
     >>> given = problem.Problem(log_score, detection)
     >>> found = greedy.greedy(given, num_detections=3)
     >>> print(found.leaf, found.log_score, found.log_bound)
-    [1 1 0] 7.0 10.0
+    [0 0 1] 6.0 10.0
     >>> found = branching.branch(given, 3, found)
-    >>> print(found.leaf, found.log_score, found.log_bound)
-    [1 1 0] 7.0 7.0
+    >>> print(found.leaf, found.log_score, f"{found.log_bound:.3f}")
+    [1 1 0] 7.0 7.000
 
 Reference: Land and Doig, "An automatic method of solving discrete programming
 problems", Econometrica 28(3), 1960.
