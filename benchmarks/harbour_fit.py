@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import harbour_tables
 from jaxtrack import start
 
 LOW, SIDE = (-4000.0, -4500.0), 8000.0  # m, the corner of the box and its sides
@@ -178,16 +179,11 @@ def fit(
     told = found.history
     assert told is not None
     return {
-        "numbers": lists(found.params._asdict()),
+        "numbers": harbour_tables.lists(found.params._asdict()),
         "evidence": (-told.loss).tolist(),
-        "history": lists(told.values),
+        "history": harbour_tables.lists(told.values),
         "seconds": time.perf_counter() - clock,
     }
-
-
-def lists(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Returns arrays as lists, for JSON."""
-    return {name: np.asarray(value).tolist() for name, value in arrays.items()}
 
 
 def tracked(case: Case, settings: Any, half: str) -> Any:
@@ -290,86 +286,6 @@ def mixed(settings: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def scores_table(scores: dict[str, dict[str, dict[str, float]]]) -> str:
-    """Returns the table of scores in Markdown, by settings and where they are held."""
-    columns = {
-        "evidence a scan": ("evidence", ".1f"),
-        "IDF1": ("idf1", ".3f"),
-        "switches": ("switches", "d"),
-        "GOSPA, m": ("gospa", ".0f"),
-        "missed": ("missed", ".1f"),
-        "false": ("false", ".1f"),
-    }
-    lines = [
-        f"| in | settings | {' | '.join(columns)} |",
-        "|---" * (len(columns) + 2) + "|",
-    ]
-    for place in dict.fromkeys(place for each in scores.values() for place in each):
-        for name, each in scores.items():
-            if place in each:
-                cells = [f"{each[place][key]:{form}}" for key, form in columns.values()]
-                lines.append(f"| {place} | {name} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-def numbers_table(case: Case, found: dict[str, Any]) -> str:
-    """Returns the table of what was found in Markdown."""
-    from jaxtrack.recorded import fitted
-
-    modes = case.settings.modes
-    resting = {"drift_std": [key for key, mode in modes.items() if mode.rest]}
-    hand = lists(fitted.numbers(case.settings)._asdict())
-    lines = [
-        f"| | by hand | {' | '.join(found)} |",
-        "|---" * (len(found) + 2) + "|",
-    ]
-    for key, value in hand.items():
-        columns = [hand, *(one["numbers"] for one in found.values())]
-        names = resting.get(key, list(modes)) if np.ndim(value) else [""]
-        cells = [np.atleast_1d(one[key]) for one in columns]
-        for i, name in enumerate(names):
-            told = " | ".join(f"{float(one[i]):.3g}" for one in cells)
-            lines.append(f"| `{key}` {name} | {told} |")
-    return "\n".join(lines) + "\n"
-
-
-def picture(case: Case, found: dict[str, Any], path: Any) -> None:
-    """Draws the way of each fit: evidence, and every number against that by hand."""
-    import matplotlib
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    from jaxtrack import plot
-    from jaxtrack.recorded import fitted
-
-    hand = lists(fitted.numbers(case.settings)._asdict())
-    looks = dict(zip(case.settings.modes, ("-", "--", ":"), strict=False))
-    with matplotlib.rc_context(plot.STYLE):
-        figure = Figure(figsize=(12, 5.4), layout="constrained")
-        axes = list(figure.subplots(2, 5).flat)
-        shown = []
-        for (name, one), color in zip(found.items(), plot.COLORS, strict=False):
-            shown.append(Line2D([], [], color=color, label=name))
-            axes[0].plot(one["evidence"], color=color)
-            for axis, (key, value) in zip(axes[1:], hand.items(), strict=True):
-                way = np.array(one["history"][key]).reshape(len(one["evidence"]), -1)
-                ratio = way / np.ravel(value)
-                for each, look in zip(ratio.T, looks.values(), strict=False):
-                    axis.plot(each, look, color=color)
-        axes[0].set(title="evidence a scan", xlabel="step")
-        for axis, key in zip(axes[1:], hand, strict=True):
-            axis.set(title=key, xlabel="step", yscale="log")
-            axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axis.yaxis.set_major_formatter("{x:g}")
-            axis.yaxis.set_minor_formatter(NullFormatter())
-        for name, look in looks.items():
-            shown.append(Line2D([], [], color=plot.INK, ls=look, label=name))
-        figure.suptitle("The way of each fit; numbers as multiples of those by hand")
-        figure.legend(handles=shown, loc="outside lower center", ncols=len(shown))
-        figure.savefig(path, dpi=110)
-
-
 def kept(path: pathlib.Path, work: Callable[[], Any]) -> Any:
     """Returns what a file holds, or does the work and keeps it there."""
     if not path.exists():
@@ -422,9 +338,13 @@ def study(name: str, also: list[str], out: pathlib.Path) -> None:
             one = kept(out / f"{name}-{word}-whole-{other}.json", work)
             mine[f"second half, all ships, {other}"] = one
             (out / f"{name}-{word}-{other}.toml").write_text(fitted.toml(chosen))
-    text = scores_table(scores) + "\n" + numbers_table(case, found)
+    text = (
+        harbour_tables.scores_table(scores)
+        + "\n"
+        + harbour_tables.numbers_table(case, found)
+    )
     (out / f"{name}.md").write_text(text)
-    picture(case, found, out / f"{name}.png")
+    harbour_tables.picture(case, found, out / f"{name}.png")
     print(text, flush=True)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import harbour_fit
+from benchmarks import harbour_fit, harbour_tables
 from jaxtrack import learn
 from jaxtrack.data import files
 from jaxtrack.learn import history
@@ -37,7 +37,7 @@ def case():
 
 def found(case):
     """What `fit` tells, with what it began at for what it found."""
-    numbers = harbour_fit.lists(fitted.numbers(case.settings)._asdict())
+    numbers = harbour_tables.lists(fitted.numbers(case.settings)._asdict())
     ways = {name: [value, value] for name, value in numbers.items()}
     more = {"evidence": [-2.0, -1.0], "history": ways}
     return {"first half, begun by hand": {"numbers": numbers, "seconds": 1.0} | more}
@@ -84,15 +84,15 @@ def test_tables_tell_evidence_scores_and_numbers(case, tmp_path):
     assert one["missed"] > 0  # before the tracks are confirmed
     assert one["near"] < 3
     told = {"by hand": {"second half": one}, "off": {"second half": one, "all": one}}
-    lines = harbour_fit.scores_table(told).splitlines()
+    lines = harbour_tables.scores_table(told).splitlines()
     assert [line.split(" | ")[:2] for line in lines[2:]] == [
         ["| second half", "by hand"],
         ["| second half", "off"],
         ["| all", "off"],
     ]
-    table = harbour_fit.numbers_table(case, found(case))
+    table = harbour_tables.numbers_table(case, found(case))
     assert "| `detect_prob` rest | 0.6 | 0.6 |" in table
-    harbour_fit.picture(case, found(case), tmp_path / "ways.png")
+    harbour_tables.picture(case, found(case), tmp_path / "ways.png")
     assert (tmp_path / "ways.png").stat().st_size > 0
 
 

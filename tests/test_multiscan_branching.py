@@ -14,6 +14,7 @@ from jaxtrack.assign.multiscan import branching, decomposition, greedy, problem
 
 NUM, TREES, LEAVES, SCANS, K = 80, 5, 5, 3, 4
 EXACT = 1e-10  # of sums of order ten
+TOLERANCE = 1e-6  # the default of the solvers
 
 
 @functools.cache
@@ -54,15 +55,16 @@ def test_a_search_that_ends_finds_the_best(how):
     begun = known.feasible
     assert begun.mean() > 0.8
     assert (known.log_score < best - EXACT)[begun].mean() > 0.1
-    np.testing.assert_allclose(after.log_score[begun], best[begun], atol=EXACT)
-    # What is below the tolerance of 1e-6 is not looked at, in five clusters at most.
-    np.testing.assert_allclose(after.log_bound[begun], best[begun], atol=6e-6)
+    np.testing.assert_allclose(after.log_score[begun], best[begun], rtol=0, atol=EXACT)
+    # What is below TOLERANCE is not looked at, in at most as many clusters as trees.
+    room = (TREES + 1) * TOLERANCE
+    np.testing.assert_allclose(after.log_bound[begun], best[begun], rtol=0, atol=room)
     assert (after.log_bound >= best - EXACT).all()
     for k in np.nonzero(begun)[0]:
         one = jax.tree.map(lambda x, k=k: x[k], given)
         possible, total = reference.feasible(after.leaf[k], *one)
         assert possible
-        np.testing.assert_allclose(total, after.log_score[k], atol=EXACT)
+        np.testing.assert_allclose(total, after.log_score[k], rtol=0, atol=EXACT)
     # Without a selection to begin with nothing changes.
     for field in ("leaf", "log_score", "log_bound", "price"):
         pair = getattr(known, field), getattr(after, field)
@@ -86,8 +88,9 @@ def test_dual_decomposition_finds_the_best():
     after = jax.jit(jax.vmap(solve))(given)
     there = np.asarray(after.feasible)
     assert there.mean() > 0.9
-    # It is content with a gap of 1e-6.
-    np.testing.assert_allclose(after.log_score[there], best[there], atol=2e-6)
+    # It is content with a gap of TOLERANCE, or with that in each cluster.
+    room = TREES * TOLERANCE
+    np.testing.assert_allclose(after.log_score[there], best[there], rtol=0, atol=room)
 
 
 def apart(rng):

@@ -23,6 +23,10 @@ THRESHOLD, MOST = 0.5, 20
 SIZES, NUM = (2, 1, 2), 30  # FEW where hypotheses say more
 TIMES = 3  # of birth that are told apart
 BIRTH = 0.3  # probability, where births are multi-Bernoulli
+PROB = 1e-10  # what float64 leaves of probabilities, sums over all hypotheses
+STATE = (
+    1e-9  # m, m/s and their squares, of order ten: the smoother divides by variances
+)
 BORN = {"max_tracks": 3, "max_leaves": 20}
 CERTAIN = {"max_tracks": 3, "max_leaves": 12}
 SMALL = {"max_tracks": 3, "max_leaves": 4, "max_undetected": 3, "max_hypotheses": 8}
@@ -132,13 +136,13 @@ def test_with_room_for_all_it_is_the_filter_of_single_scans(kind):
     if kind != "certain":  # it says when targets ended, which mbm01 forgets
         most = min(several.hypothesis_prob.shape[2], single.hypothesis_prob.shape[2], 8)
         given = (x.hypothesis_prob[..., :most] for x in (several, single))
-        np.testing.assert_allclose(*given, atol=1e-10)  # of probabilities
+        np.testing.assert_allclose(*given, rtol=0, atol=PROB)
     for label in range(sum(SIZES)):
         there = (
             np.where(x.label == label, x.existence_prob, 0.0).sum(2)
             for x in (several, single)
         )
-        np.testing.assert_allclose(*there, atol=1e-12)  # of probabilities
+        np.testing.assert_allclose(*there, rtol=0, atol=PROB)
 
 
 @functools.cache
@@ -173,8 +177,7 @@ def test_hypotheses_weigh_what_all_of_them_do(kind, alive_only):
         np.testing.assert_allclose(evidence[seed, t], expected.log_evidence, rtol=1e-10)
         prob = told.hypothesis_prob[seed, t]
         most = min(len(prob), len(expected.prob))
-        # Of probabilities.
-        np.testing.assert_allclose(prob[:most], expected.prob[:most], atol=1e-10)
+        np.testing.assert_allclose(prob[:most], expected.prob[:most], rtol=0, atol=PROB)
         assert (prob[most:] < 1e-10).all()
 
 
@@ -190,8 +193,7 @@ def test_targets_are_as_likely_as_all_hypotheses_say(kind, alive_only):
         there = labelled(
             told.label[seed, t], told.existence_prob[seed, t], len(expected.best)
         )
-        # Of probabilities.
-        np.testing.assert_allclose(there, expected.existence_prob, atol=1e-10)
+        np.testing.assert_allclose(there, expected.existence_prob, rtol=0, atol=PROB)
 
 
 @every_kind
@@ -208,7 +210,9 @@ def test_paths_are_those_of_the_best_hypothesis(kind):
                 assert not alive[track].any()
                 continue
             # Of probabilities.
-            np.testing.assert_allclose(prob[track], history.alive_prob, atol=1e-10)
+            np.testing.assert_allclose(
+                prob[track], history.alive_prob, rtol=0, atol=PROB
+            )
             reported = history.alive_prob.max() > THRESHOLD
             last = np.argmax(history.ends) if reported else -1
             scan = np.arange(t + 1)
@@ -216,8 +220,12 @@ def test_paths_are_those_of_the_best_hypothesis(kind):
             np.testing.assert_array_equal(alive[track], there)
             means, covs = histories.path(history, scans, model)
             # Of some metres, by some inverses of matrices.
-            np.testing.assert_allclose(mean[track][there], means[there], atol=1e-9)
-            np.testing.assert_allclose(cov[track][there], covs[there], atol=1e-9)
+            np.testing.assert_allclose(
+                mean[track][there], means[there], rtol=0, atol=STATE
+            )
+            np.testing.assert_allclose(
+                cov[track][there], covs[there], rtol=0, atol=STATE
+            )
             shown += there.any()
     assert shown > NUM
 
@@ -240,13 +248,13 @@ def test_alive_paths_are_those_of_targets_that_are_there_now(kind):
             there = np.arange(t + 1) >= history.since
             np.testing.assert_array_equal(alive[track], there)
             # Of probabilities.
-            np.testing.assert_allclose(prob[track], now * there, atol=1e-10)
+            np.testing.assert_allclose(prob[track], now * there, rtol=0, atol=PROB)
             means, covs = histories.smoothed(
                 history.track, history.since, t, scans, model
             )
             # Of some metres, by some inverses of matrices.
-            np.testing.assert_allclose(mean[track][there], means, atol=1e-9)
-            np.testing.assert_allclose(cov[track][there], covs, atol=1e-9)
+            np.testing.assert_allclose(mean[track][there], means, rtol=0, atol=STATE)
+            np.testing.assert_allclose(cov[track][there], covs, rtol=0, atol=STATE)
             shown += 1
     assert shown > NUM
     assert hidden > 0 or kind == "certain"
@@ -266,5 +274,5 @@ def test_births_before_the_first_detection_are_as_likely_as_all_lives_say():
                     births[min(history.since - scan, TIMES - 1)] += weight
             # Of probabilities.
             np.testing.assert_allclose(
-                told[track], births / births.sum(), rtol=0, atol=1e-10
+                told[track], births / births.sum(), rtol=0, atol=PROB
             )
