@@ -95,7 +95,14 @@ def test_all_scans_count_for_the_information_of_minibatches():
     np.testing.assert_allclose(found.hessian, expected, rtol=1e-9, atol=DIFFERENCED)
 
 
-def test_a_prior_pulls_towards_what_it_likes():
+@pytest.mark.parametrize(
+    ("loss", "last"),
+    [(evidence, SCANS), (held_out(0.3), math.ceil(0.3 * SCANS))],
+    ids=["all", "held out"],
+)
+def test_a_prior_pulls_towards_what_it_likes(loss, last):
+    """Against the scans that count, which also tell the error."""
+
     def prior(p):
         return -((p.mean - 3.0) ** 2) / 2 / 0.01
 
@@ -105,32 +112,11 @@ def test_a_prior_pulls_towards_what_it_likes():
         watched(),
         NEWTON,
         where=lambda p: p.mean,
+        loss=loss,
         prior=prior,
         num_steps=40,
     )
-    z = watched().detections
-    precision = z.size / 0.49
-    expected = (z.mean() * precision + 3.0 * 100) / (precision + 100)
-    np.testing.assert_allclose(fit.params.mean, expected, rtol=1e-6)
-    error = fit.information.std_error["mean"]
-    np.testing.assert_allclose(error, (precision + 100) ** -0.5, rtol=1e-5)
-
-
-def test_only_what_is_held_out_counts_for_errors_and_against_a_prior():
-    def prior(p):
-        return -((p.mean - 3.0) ** 2) / 2 / 0.01
-
-    fit = learn.fit(
-        watcher,
-        start(std=0.7),
-        watched(),
-        NEWTON,
-        where=lambda p: p.mean,
-        loss=held_out(0.3),
-        prior=prior,
-        num_steps=40,
-    )
-    z = watched().detections[:, -math.ceil(0.3 * SCANS) :]
+    z = watched().detections[:, -last:]
     precision = z.size / 0.49
     expected = (z.mean() * precision + 3.0 * 100) / (precision + 100)
     np.testing.assert_allclose(fit.params.mean, expected, rtol=1e-6)
