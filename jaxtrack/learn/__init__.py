@@ -39,6 +39,7 @@ from jaxtrack.learn import (
     sizes,
     slopes,
     supports,
+    together,
 )
 from jaxtrack.learn.bar import progress_bar
 from jaxtrack.learn.history import History
@@ -61,6 +62,7 @@ __all__ = [
     "sizes",
     "slopes",
     "supports",
+    "together",
     "unconstrain",
 ]
 
@@ -148,13 +150,15 @@ def fit(
     Args:
         tracker: Any tracker.
         params: Where to start, with numbers. The loss has many valleys: start near.
-        scans: One recording [T] or several of the same length [R, T].
+        scans: One recording [T], several of the same length [R, T], or a list of
+            recordings [T_r] of any length and number of slots; every scan counts the
+            same.
         optimizer: Of optax. It sees free numbers (`unconstrain`), most of them logs or
             log-odds, so that a step of 0.05 is some 5 percent.
         where: What is learned, see `unconstrain`.
         loss: Of `learn.loss`, or one's own.
-        truth: Arrays [T] or [R, T] as the scans, which the loss gets as a third
-            argument; None for none.
+        truth: Arrays [T] or [R, T] as the scans, or a list of them, which the loss
+            gets as a third argument; None for none.
         prior: (params) -> log-density of the parameters themselves, for a fit of
             maximum a posteriori.
         num_steps: Steps at most.
@@ -185,14 +189,17 @@ def fit(
             does not go with `truth` or returns no scalar, a directory that holds
             another fit, or a reason of `unconstrain`.
     """
-    sizes.check_functions(optimizer, loss, prior, truth is not None)
     sizes.check_end(num_steps, tolerance)
+    scans, truth, length = together.together(scans, truth)
     several, number, total = sizes.recordings(scans, truth)
+    uneven = length is not None and window is None
+    sizes.check_functions(optimizer, loss, prior, truth is not None, uneven)
+    shortest = total if length is None else int(length.min())
     counts = {"num_steps": num_steps, "patience": patience, "segment": segment}
-    sizes.check(number, total, batch, window, block=block, **counts)
+    sizes.check(number, shortest, batch, window, block=block, **counts)
     plan = leaves.plan(params, where)
     problem = slopes.Problem(tracker, plan, loss, prior, batch, window, block, segment)
-    data = slopes.gather(scans, truth, seed, several)
+    data = slopes.gather(scans, truth, seed, several, length)
     task = loop.Task(problem, optimizer, params, data, seed)
     rules = loop.Rules(num_steps, patience, tolerance)
     end = loop.walk(task, rules, progress, directory)

@@ -88,7 +88,7 @@ def observed(
         move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
         ahead, back = gradient(centre + move), gradient(centre - move)
         columns.append((ahead - back).astype(float) / (2 * float(size)))
-    hessian = slopes.num_scans(whole, data) * np.array(columns)
+    hessian = int(slopes.num_scans(whole, data)) * np.array(columns)
     hessian = (hessian + hessian.T) / 2
     rate = _jacobian(problem.plan, params, free)
     tolerance = 10 * float(np.sqrt(np.finfo(centre.dtype).eps))

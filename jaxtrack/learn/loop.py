@@ -125,7 +125,8 @@ def _path(directory: parts.Directory) -> pathlib.Path:
 def _identity(task: Task) -> dict[str, Any]:
     """Returns what tells this fit from others."""
     problem = task.problem
-    values = task.params, task.data.scans, task.data.truth
+    data = task.data
+    values = task.params, data.scans, data.truth, data.length
     return {
         "seed": task.seed,
         "batch": problem.batch,

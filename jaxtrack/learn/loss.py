@@ -2,8 +2,10 @@
 
 A loss is a function (estimates, scans) -> scalar, of a tracker's `Estimate` and of
 scans with a leading T, or (estimates, scans, truth) where `fit` is given the truth. It
-should be a mean over scans, so that step sizes do not depend on T. `evidence` and
-`held_out` need no truth; `ospa` and `gospa` are the metrics in a form with slopes:
+should be a mean over scans, so that step sizes do not depend on T. Of recordings of
+unequal length it is also told which scans count, `counts` [T] (bool): after the end of
+one there is nothing. `evidence` and `held_out` need no truth; `ospa` and `gospa` are
+the metrics in a form with slopes:
 
 - an estimate counts with its probability to exist, as Xia et al. have it, and
 - Sinkhorn's shares stand for the assignment (`assign.soft`). As the temperature falls,
@@ -37,10 +39,10 @@ from jaxtrack.types import Array
 Loss = Callable[..., Array]
 
 
-def evidence(estimates: Any, scans: Any) -> Array:
+def evidence(estimates: Any, scans: Any, *, counts: Array | None = None) -> Array:
     """Returns the negative log-evidence per scan, a scalar."""
     del scans
-    return -estimates.log_evidence.mean()
+    return -_mean(estimates.log_evidence, counts)
 
 
 @functools.cache
@@ -76,6 +78,22 @@ def counted(loss: Loss, num_scans: int) -> int | None:
     if isinstance(loss, functools.partial) and loss.func is _held_out:
         return math.ceil(loss.args[0] * num_scans)
     return None
+
+
+def counting(loss: Loss, num_scans: int, length: Array) -> Array:
+    """Returns which scans count of a recording that was filled up, [T] (bool).
+
+    Args:
+        loss: See `counted`; of any other all scans count that there are.
+        num_scans: T.
+        length: How many there are.
+    """
+    last = []
+    for size in range(num_scans + 1):
+        told = counted(loss, size)
+        last.append(size if told is None else told)
+    scan = jnp.arange(num_scans)
+    return (scan >= length - jnp.array(last)[length]) & (scan < length)
 
 
 @functools.cache
@@ -134,10 +152,21 @@ def ospa(
     return functools.partial(_mean_over_scans, scan, position_index)
 
 
-def _held_out(fraction: float, estimates: Any, scans: Any) -> Array:
+def _held_out(
+    fraction: float, estimates: Any, scans: Any, *, counts: Array | None = None
+) -> Array:
     del scans
     told = estimates.log_evidence
+    if counts is not None:
+        return -_mean(told, counts)
     return -told[-math.ceil(fraction * len(told)) :].mean()
+
+
+def _mean(value: Array, counts: Array | None) -> Array:
+    """Returns the mean over the scans that count."""
+    if counts is None:
+        return value.mean()
+    return jnp.where(counts, value, 0.0).sum() / counts.sum()
 
 
 def _mean_over_scans(
@@ -146,6 +175,8 @@ def _mean_over_scans(
     estimates: Any,
     scans: Any,
     truth: Any,
+    *,
+    counts: Array | None = None,
 ) -> Array:
     del scans
     index = np.array(position_index)
@@ -155,7 +186,7 @@ def _mean_over_scans(
         estimates.mean[..., index],
         estimates.existence_prob,
     )
-    return each.mean()
+    return _mean(each, counts)
 
 
 def _gain(

@@ -87,8 +87,18 @@ def check_end(num_steps: int, tolerance: float) -> None:
         )
 
 
-def check_functions(optimizer: Any, loss: Any, prior: Any, has_truth: bool) -> None:
-    """Raises a ValueError if one is none, or the loss does not go with the truth."""
+def check_functions(
+    optimizer: Any, loss: Any, prior: Any, has_truth: bool, uneven: bool = False
+) -> None:
+    """Raises a ValueError if one is none, or the loss does not go with the data.
+
+    Args:
+        optimizer: Of optax.
+        loss: See `learn.loss`.
+        prior: A function, or None.
+        has_truth: Whether the loss is told the truth.
+        uneven: Whether it must be told which scans count, see `learn.together`.
+    """
     if not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(
             f"optimizer is {optimizer!r}; give one of optax, such as optax.adam(0.05)"
@@ -97,6 +107,15 @@ def check_functions(optimizer: Any, loss: Any, prior: Any, has_truth: bool) -> N
         if not (callable(function) or (name == "prior" and prior is None)):
             raise ValueError(f"{name} is {function!r}; give a function")
     takes = [_takes(loss, number) for number in (2, 3)]
+    if uneven:
+        told = [_takes(loss, number, counts=None) for number in (2, 3)]
+        if any(takes) and not any(told):
+            raise ValueError(
+                "the recordings are of unequal length, and the loss takes no counts=; "
+                "give one that is told which scans count, (estimates, scans, *, "
+                "counts), or windows"
+            )
+        takes = told
     if takes == [False, True] and not has_truth:
         raise ValueError("the loss needs the truth; give truth=")
     if takes == [True, False] and has_truth:
@@ -111,14 +130,14 @@ def check_functions(optimizer: Any, loss: Any, prior: Any, has_truth: bool) -> N
         )
 
 
-def _takes(function: Any, number: int) -> bool:
-    """Returns whether a function may be called with so many arguments."""
+def _takes(function: Any, number: int, **named: Any) -> bool:
+    """Returns whether a function may be called with so many arguments, and named."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # of what was compiled elsewhere
         return True
     try:
-        signature.bind(*range(number))
+        signature.bind(*range(number), **named)
     except TypeError:
         return False
     return True

@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack import engine
 from jaxtrack.learn import leaves, segments
-from jaxtrack.learn.loss import Loss, counted
+from jaxtrack.learn.loss import Loss, counted, counting
 from jaxtrack.types import Array, PyTree, Tracker
 
 
@@ -55,11 +56,13 @@ class Data(NamedTuple):
         truth: What the loss is told besides, with a leading R, T; or None.
         keys: A tracker's random key for each recording, the same in every step, so
             that the loss is a function of the parameters alone; [R].
+        length: How many of the scans there are, [R]; None if all.
     """
 
     scans: PyTree
     truth: PyTree
     keys: Array
+    length: Array | None = None
 
 
 class Slope(NamedTuple):
@@ -78,14 +81,21 @@ class Slope(NamedTuple):
     values: dict[str, Array]
 
 
-def gather(scans: PyTree, truth: PyTree, seed: int, several: bool = True) -> Data:
+def gather(
+    scans: PyTree,
+    truth: PyTree,
+    seed: int,
+    several: bool = True,
+    length: np.ndarray | None = None,
+) -> Data:
     """Puts recordings together; a single one gets a leading axis of 1."""
     both = scans, truth
     if not several:
         both = jax.tree.map(lambda x: jnp.asarray(x)[None], both)
     scans, truth = jax.tree.map(jnp.asarray, both)
     number = len(jax.tree.leaves(scans)[0])
-    return Data(scans, truth, engine.run_keys(seed, 0, number))
+    told = None if length is None else jnp.asarray(length)
+    return Data(scans, truth, engine.run_keys(seed, 0, number), told)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -120,14 +130,18 @@ def value_of(
         params,
         part,
         in_axes=(None, 0),
-        static=(problem.tracker, problem.loss, problem.segment),
+        static=(problem.tracker, problem.loss, problem.window, problem.segment),
         block=problem.block,
     )
+    mean = each.mean()
+    if part.length is not None:
+        weight = _counted(problem, part)
+        mean = (each * weight).sum() / weight.sum()
     if problem.prior is None:
-        return each.mean()
+        return mean
     density = problem.prior(params)
     _check_scalar("prior", density)
-    return each.mean() - density / num_scans(problem, data)
+    return mean - density / num_scans(problem, data)
 
 
 def is_noisy(problem: Problem) -> bool:
@@ -135,12 +149,24 @@ def is_noisy(problem: Problem) -> bool:
     return problem.batch is not None or problem.window is not None
 
 
-def num_scans(problem: Problem, data: Data) -> int:
+def num_scans(problem: Problem, data: Data) -> int | Array:
     """Returns how many scans of all recordings the loss is a mean of."""
+    if data.length is not None:
+        return _counted(problem, data).sum()
     number, total = jax.tree.leaves(data.scans)[0].shape[:2]
     # With windows each scan comes to be among the last ones of some.
     told = counted(problem.loss, total) if problem.window is None else None
     return number * (total if told is None else told)
+
+
+def _counted(problem: Problem, data: Data) -> Array:
+    """Returns how many scans of each recording count, [R]."""
+    assert data.length is not None
+    if problem.window is not None:  # each scan comes to be among the last ones of some
+        return data.length
+    total = jax.tree.leaves(data.scans)[0].shape[1]
+    count = functools.partial(counting, problem.loss, total)
+    return jax.vmap(count)(data.length).sum(1)
 
 
 def pick(key: Array, data: Data, batch: int | None, window: int | None) -> Data:
@@ -152,23 +178,33 @@ def pick(key: Array, data: Data, batch: int | None, window: int | None) -> Data:
     if window is None:
         return data
     number, total = jax.tree.leaves(data.scans)[0].shape[:2]
-    first = jax.random.randint(window_key, (number,), 0, total - window + 1)
+    end = total if data.length is None else data.length
+    first = jax.random.randint(window_key, (number,), 0, end - window + 1)
 
     def cut(x: Array) -> Array:
         one = functools.partial(jax.lax.dynamic_slice_in_dim, slice_size=window)
         return jax.vmap(one)(x, first)
 
     scans, truth = jax.tree.map(cut, (data.scans, data.truth))
-    return Data(scans, truth, data.keys)
+    return data._replace(scans=scans, truth=truth)
 
 
 def _one(
-    tracker: Tracker, loss: Loss, segment: int | None, params: PyTree, data: Data
+    tracker: Tracker,
+    loss: Loss,
+    window: int | None,
+    segment: int | None,
+    params: PyTree,
+    data: Data,
 ) -> Array:
     """Returns the loss of one recording."""
     estimates = segments.run(tracker, params, data.scans, data.keys, segment)
     told = (data.scans,) if data.truth is None else (data.scans, data.truth)
-    value = loss(estimates, *told)
+    if data.length is None or window is not None:  # a window has no scans but its own
+        value = loss(estimates, *told)
+    else:
+        total = len(jax.tree.leaves(data.scans)[0])
+        value = loss(estimates, *told, counts=counting(loss, total, data.length))
     _check_scalar("loss", value)
     return value
 
