@@ -42,7 +42,7 @@ def make(
         "four targets that meet in the middle (Xia 2019)",
         truth(),
         (PLACE, COV),
-        (32, 40, 24),
+        (32, 160, 24),
         clutter_rate,
         detect_prob,
         region,
