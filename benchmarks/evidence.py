@@ -148,21 +148,7 @@ def known() -> Kind:
     import jax.numpy as jnp
 
     from jaxtrack.models.birth import PoissonBirth
-    from jaxtrack.targets import single
-    from jaxtrack.trackers import (
-        gnn,
-        jpda,
-        jpda_star,
-        lmb,
-        management,
-        mbm,
-        mht,
-        nearest,
-        pda,
-        set_jpda,
-        single_scan,
-        undetected,
-    )
+    from jaxtrack.trackers import single_scan, undetected
 
     one, begin = target(1.0), there(1.0, PLACES, STD_KNOWN, STD_KNOWN)
     nobody = begin._replace(existence_prob=jnp.zeros(2))
@@ -178,9 +164,28 @@ def known() -> Kind:
     by_scan = single_scan.Params(one, None, clutter(CLUTTER), begin)
     bernoullis = undetected.Params(one, nobody, clutter(CLUTTER), start=begin)
     poisson = bernoullis._replace(birth=PoissonBirth(jnp.zeros(2), *nobody[1:]))
-    algebra, room = single.single(), {"gate_prob": 1.0}
-    stay: Any = {"rule": management.MofN(3, 5, 32, 32), "max_tracks": 2, **room}
-    trackers = {
+    every = {name: (tracker, by_scan) for name, tracker in of_one_scan().items()}
+    every |= {name: (tracker, poisson) for name, tracker in of_several_scans().items()}
+    every |= {name: (tracker, bernoullis) for name, tracker in of_bernoullis().items()}
+    return Kind("two known targets", scans, np.array(exact), every)
+
+
+def of_one_scan() -> dict[str, Any]:
+    """Makes trackers of known targets that decide in every scan."""
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import (
+        gnn,
+        jpda,
+        jpda_star,
+        management,
+        nearest,
+        pda,
+        set_jpda,
+    )
+
+    algebra, rule = single.single(), management.MofN(3, 5, 32, 32)
+    stay: Any = {"rule": rule, "max_tracks": 2, "gate_prob": 1.0}
+    return {
         "jpda": jpda.jpda(algebra, **stay),
         "jpda, belief propagation": jpda.jpda(algebra, method="belief", **stay),
         "jpda, 3 likeliest events": jpda.jpda(algebra, max_events=3, **stay),
@@ -190,19 +195,28 @@ def known() -> Kind:
         "nearest": nearest.nearest(algebra, **stay),
         "pda": pda.pda(algebra, **stay),
     }
-    over = {
-        "mht, decided after 2 scans": mht.mht(algebra, max_tracks=12, **room),
-    }
-    few: Any = {"max_tracks": 4, **room}
-    several = {
+
+
+def of_several_scans() -> dict[str, Any]:
+    """Makes trackers of known targets that decide later."""
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import mht
+
+    tracker = mht.mht(single.single(), max_tracks=12, gate_prob=1.0)
+    return {"mht, decided after 2 scans": tracker}
+
+
+def of_bernoullis() -> dict[str, Any]:
+    """Makes trackers of known targets that were born in a Bernoulli process."""
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import lmb, mbm
+
+    algebra, few = single.single(), {"max_tracks": 4, "gate_prob": 1.0}
+    return {
         "lmb": lmb.lmb(algebra, **few),
         "mbm, 10 hypotheses": mbm.mbm(algebra, max_hypotheses=10, **few),
         "mbm, 100 hypotheses": mbm.mbm(algebra, max_hypotheses=100, **few),
     }
-    every = {name: (tracker, by_scan) for name, tracker in trackers.items()}
-    every |= {name: (tracker, poisson) for name, tracker in over.items()}
-    every |= {name: (tracker, bernoullis) for name, tracker in several.items()}
-    return Kind("two known targets", scans, np.array(exact), every)
 
 
 def born() -> Kind:
@@ -211,26 +225,12 @@ def born() -> Kind:
 
     from jaxtrack.models.birth import PoissonBirth
     from jaxtrack.targets import single
-    from jaxtrack.trackers import (
-        cphd,
-        hypothesis_mht,
-        intensity,
-        mcmcda,
-        mht,
-        oracle,
-        phd,
-        pmb,
-        pmbm,
-        tpmbm,
-        undetected,
-    )
+    from jaxtrack.trackers import cphd, intensity, oracle, phd, undetected
 
-    one = target(SURVIVE)
+    one, algebra = target(SURVIVE), single.single()
     birth = PoissonBirth(*there(BIRTHS, (0.0,), STD, STD / TIME))
     scans = drawn(one, birth, None, BORN, 2)
     params = undetected.Params(one, birth, clutter(CLUTTER))
-    algebra = single.single()
-    room: Any = {"gate_prob": 1.0, "max_tracks": 8}
 
     def truth(scans: Any) -> Any:
         apart = [jax.tree.map(lambda x, t=t: x[t], scans) for t in range(BORN)]
@@ -238,7 +238,23 @@ def born() -> Kind:
         return told.log_evidence
 
     exact = jax.jit(lambda scans: jax.lax.map(truth, scans, batch_size=20))(scans)
-    trackers = {
+    every: dict[str, tuple[Any, Any]] = {
+        name: (tracker, params) for name, tracker in of_births().items()
+    }
+    density = intensity.Params(one, birth, clutter(CLUTTER))
+    every["phd"] = phd.phd(algebra), density
+    every["cphd"] = cphd.cphd(algebra), density
+    return Kind("targets that are born and die", scans, np.asarray(exact), every)
+
+
+def of_births() -> dict[str, Any]:
+    """Makes trackers with hypotheses of targets that are born and die."""
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import hypothesis_mht, mcmcda, mht, pmb, pmbm, tpmbm
+
+    algebra = single.single()
+    room: Any = {"gate_prob": 1.0, "max_tracks": 8}
+    return {
         "pmbm": pmbm.pmbm(algebra, max_hypotheses=100, **room),
         "pmbm, 3 hypotheses": pmbm.pmbm(algebra, max_hypotheses=3, **room),
         "pmb": pmb.pmb(algebra, **room),
@@ -247,13 +263,6 @@ def born() -> Kind:
         "hypothesis_mht": hypothesis_mht.hypothesis_mht(algebra, **room),
         "mcmcda": mcmcda.mcmcda(algebra),
     }
-    every: dict[str, tuple[Any, Any]] = {
-        name: (tracker, params) for name, tracker in trackers.items()
-    }
-    density = intensity.Params(one, birth, clutter(CLUTTER))
-    every["phd"] = phd.phd(algebra), density
-    every["cphd"] = cphd.cphd(algebra), density
-    return Kind("targets that are born and die", scans, np.asarray(exact), every)
 
 
 def differences(kind: Kind, name: str) -> np.ndarray:

@@ -210,70 +210,23 @@ def particles() -> Case:
     )
 
 
-def born(name: str, certain: bool = True) -> Case:
+def born(name: str, certain: bool = True, detect: float = 0.9) -> Case:
     """Makes a case of targets that are born at a place and die.
 
     Args:
         name: Of the tracker.
         certain: Whether its evidence is right enough to tell a missed detection and a
             death apart; if not, their probabilities are known.
+        detect: Probability of detection.
     """
-    import jax.numpy as jnp
-
-    from jaxtrack.targets import single
-    from jaxtrack.trackers import cbmember, cphd, intensity, mht, phd, pmbm, undetected
-
-    target, room = single.single(), {"max_tracks": 12}
-    # Merging widens components, which less noise would make up for.
-    cloud: Any = {"max_components": 40, "merge_threshold": 1.0}
-    cloud |= {"prune_threshold": 1e-4}
-    poisson = name in ("phd", "pmbm", "mht")
-    makers: dict[str, Callable[[], Any]] = {
-        "phd": lambda: phd.phd(target, **cloud),
-        "cphd": lambda: cphd.cphd(target, max_targets=8, **cloud),
-        "cbmember": lambda: cbmember.cbmember(target, **room),
-        # Weak tracks that go back to those undetected need no hypotheses of their own.
-        "pmbm": lambda: pmbm.pmbm(
-            target,
-            max_hypotheses=30,
-            max_undetected=24,
-            recycle_threshold=0.3,
-            gate_prob=1.0,
-            **room,
-        ),
-        "mht": lambda: mht.mht(target, max_undetected=4, gate_prob=1.0, **room),
-    }
-    kinds = {
-        "phd": intensity.Params,
-        "cphd": intensity.Params,
-        "cbmember": cbmember.Params,
-    }
-
-    def params(
-        std: float,
-        detect: float,
-        survive: float,
-        rate: float,
-        more: tuple[float, float],
-    ) -> Any:
-        from jaxtrack.models.birth import PoissonBirth
-
-        births, place = more
-        birth = there(births, 1)
-        cov = jnp.diag(jnp.array([width**2, 1.0]))[None]
-        birth = birth._replace(mean=birth.mean.at[0, 0].set(place), cov=cov)
-        if poisson or name == "cphd":
-            birth = PoissonBirth(*birth)
-        kind = kinds.get(name, undetected.Params)
-        return kind(line(0.2, std, detect, survive), birth, clutter(rate))
-
-    unsure = (0.8, 0.9) if certain else (0.9, 0.95)
+    unsure = (0.8, 0.9) if certain else (detect, 0.95)
     # A newborn that is hard to tell from clutter is what a Poisson process does worst.
     width = 5.0 if name in ("phd", "cphd") else 20.0
+    birth = functools.partial(one_birth, name, width)
     return Case(
-        makers[name](),
-        params(1.0, 0.9, 0.95, 2.0, (0.1, 0.0)),
-        params(1.4, *unsure, 3.0, (0.2, width / 2)),
+        maker(name),
+        world(name, 1.0, detect, 0.95, 2.0, birth(0.1, 0.0)),
+        world(name, 1.4, *unsure, 3.0, birth(0.2, width / 2)),
         lambda p: (
             p.target.sensor,
             (p.target.detect, p.target.survive) if certain else (),
@@ -292,3 +245,58 @@ def born(name: str, certain: bool = True) -> Case:
         },
         steps=100,
     )
+
+
+def maker(name: str) -> Any:
+    """Makes a tracker of targets that are born and die, with room for all of them."""
+    from jaxtrack.targets import single
+    from jaxtrack.trackers import cbmember, cphd, mht, phd, pmbm
+
+    target, room = single.single(), {"max_tracks": 12}
+    # Merging widens components, which less noise would make up for.
+    cloud: Any = {"max_components": 40, "merge_threshold": 1.0}
+    cloud |= {"prune_threshold": 1e-4}
+    if name == "phd":
+        return phd.phd(target, **cloud)
+    if name == "cphd":
+        return cphd.cphd(target, max_targets=8, **cloud)
+    if name == "cbmember":
+        return cbmember.cbmember(target, **room)
+    if name == "mht":
+        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
+    # Weak tracks that go back to those undetected need no hypotheses of their own.
+    return pmbm.pmbm(
+        target,
+        max_hypotheses=30,
+        max_undetected=24,
+        recycle_threshold=0.3,
+        gate_prob=1.0,
+        **room,
+    )
+
+
+def world(
+    name: str, std: float, detect: float, survive: float, rate: float, birth: Any
+) -> Any:
+    """Returns the parameters of a tracker of targets that are born and die."""
+    from jaxtrack.trackers import cbmember, intensity, undetected
+
+    kinds = {
+        "phd": intensity.Params,
+        "cphd": intensity.Params,
+        "cbmember": cbmember.Params,
+    }
+    kind = kinds.get(name, undetected.Params)
+    return kind(line(0.2, std, detect, survive), birth, clutter(rate))
+
+
+def one_birth(name: str, width: float, births: float, place: float) -> Any:
+    """Returns how targets are born, so many a scan, within `width` of a place (m)."""
+    import jax.numpy as jnp
+
+    from jaxtrack.models.birth import PoissonBirth
+
+    birth = there(births, 1)
+    cov = jnp.diag(jnp.array([width**2, 1.0]))[None]
+    birth = birth._replace(mean=birth.mean.at[0, 0].set(place), cov=cov)
+    return birth if name == "cbmember" else PoissonBirth(*birth)
