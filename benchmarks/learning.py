@@ -16,12 +16,35 @@ import json
 import pathlib
 import time
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks.learning_cases import Case, cases, there
 from jaxtrack import start
 
 LAST = 40  # steps that are averaged where the evidence is rough
+
+
+class About(NamedTuple):
+    """What the table says of a case.
+
+    Attributes:
+        scans: Of all its recordings.
+        kinds: What values a number may have, by what it is called.
+    """
+
+    scans: int
+    kinds: dict[str, Any]
+
+
+def about(case: Case) -> About:
+    """Returns what the table says of a case."""
+    from jaxtrack.learn import leaves
+
+    plan = leaves.plan(case.params, case.where)
+    kind = {leaf.path: leaf.constraint.kind for leaf in plan}
+    words = case.names.items()
+    kinds = {word: kind[path] for path, (word, _) in words if path in kind}
+    return About(case.size[0] * case.size[1], kinds)
 
 
 def recordings(case: Case, seed: int) -> Any:
@@ -101,7 +124,7 @@ def optimizer(steps: int, rough: bool) -> Any:
     return optax.adam(0.05 if rough else optax.cosine_decay_schedule(0.1, steps))
 
 
-def table(fits: list[dict[str, Any]], sizes: dict[str, int]) -> str:
+def table(fits: list[dict[str, Any]], abouts: dict[str, About]) -> str:
     """Returns the table of all fits in Markdown."""
     import numpy as np
 
@@ -112,6 +135,7 @@ def table(fits: list[dict[str, Any]], sizes: dict[str, int]) -> str:
         "mean of fits",
         "error of one",
         "within two errors",
+        "in its interval",
         "scans",
         "seconds",
     )
@@ -119,22 +143,33 @@ def table(fits: list[dict[str, Any]], sizes: dict[str, int]) -> str:
     for name in dict.fromkeys(each["case"] for each in fits):
         mine = [each for each in fits if each["case"] == name]
         seconds = np.median([each["seconds"] for each in mine])
-        rest = sizes[name], f"{seconds:.2g}"
+        told = abouts[name]
+        rest = told.scans, f"{seconds:.2g}"
         for word in mine[0]["rows"]:
             every = np.array([each["rows"][word] for each in mine], float)
-            truth, found, error = every.T
-            fine = np.isfinite(error)
-            inside = (np.abs(found - truth) <= 2 * error)[fine]
-            covered = f"{inside.mean():.0%} of {len(inside)}" if fine.any() else "–"
-            spread = np.inf
-            if len(found) > 1:
-                spread = found.std(ddof=1) / np.sqrt(len(found))
-            mean = f"{found.mean():.4g} ± {spread:.2g}"
-            typical = f"{np.median(error[fine]):.2g}" if fine.any() else "–"
-            numbers = f"{truth[0]:g}", mean, typical, covered
+            numbers = _numbers(told.kinds[word], *every.T)
             lines.append(_row([name, word, *numbers, *rest]))
             name, rest = "", ("", "")
     return "\n".join(lines) + "\n"
+
+
+def _numbers(kind: Any, truth: Any, found: Any, error: Any) -> list[str]:
+    """Returns what a row of the table says of a parameter's fits."""
+    import numpy as np
+
+    from jaxtrack.learn import intervals
+
+    spread = found.std(ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.inf
+    mean = [f"{truth[0]:g}", f"{found.mean():.4g} ± {spread:.2g}"]
+    fine = np.isfinite(error)
+    if not fine.any():
+        return [*mean, "–", "–", "–"]
+    truth, found, error = truth[fine], found[fine], error[fine]
+    within = np.abs(found - truth) <= 2 * error
+    low, high = intervals.interval(kind, found, error).T
+    inside = (low <= truth) & (truth <= high)
+    covered = f"{within.mean():.0%} of {len(within)}", f"{inside.mean():.0%}"
+    return [*mean, f"{np.median(error):.2g}", *covered]
 
 
 def _row(cells: Iterable[Any]) -> str:
@@ -163,21 +198,20 @@ def main() -> None:
                 found = fit(name, case, seed)
                 part.write_text(json.dumps(found, allow_nan=False) + "\n")
                 part.replace(path)
-        fits, sizes = kept(given.out)
-        (given.out / "table.md").write_text(table(fits, sizes))
-        print(table([x for x in fits if x["case"] == name], sizes), flush=True)
+        fits, abouts = kept(given.out)
+        (given.out / "table.md").write_text(table(fits, abouts))
+        print(table([x for x in fits if x["case"] == name], abouts), flush=True)
 
 
-def kept(out: pathlib.Path) -> tuple[list[dict[str, Any]], dict[str, int]]:
-    """Reads all fits of a folder, and how many scans the cases have."""
-    fits, sizes = [], {}
+def kept(out: pathlib.Path) -> tuple[list[dict[str, Any]], dict[str, About]]:
+    """Reads all fits of a folder, and what there is to say about their cases."""
+    fits, abouts = [], {}
     for name, make in cases().items():
         paths = sorted(out.glob(f"{name}-*.json"), key=lambda x: (len(x.name), x.name))
         fits += [json.loads(path.read_text()) for path in paths]
         if paths:
-            size = make().size
-            sizes[name] = size[0] * size[1]
-    return fits, sizes
+            abouts[name] = about(make())
+    return fits, abouts
 
 
 if __name__ == "__main__":

@@ -42,6 +42,7 @@ def cases() -> dict[str, Callable[[], Case]]:
         "JPDA, belief propagation": functools.partial(known, method="belief"),
         "particles": particles,
         "IMM-JPDA": switching,
+        "JPDA, mixtures of modes": functools.partial(switching, mixtures=True),
         "PHD": functools.partial(born, "phd", certain=False),
         "CPHD": functools.partial(born, "cphd", certain=False),
         "CBMeMBer": functools.partial(born, "cbmember", certain=False),
@@ -142,16 +143,19 @@ def followed(one: bool, method: str = "auto") -> Case:
     )
 
 
-def switching() -> Case:
+def switching(mixtures: bool = False) -> Case:
     """Makes a case of two targets that switch between two motions.
 
     They stay 20 scans or more in each: IMM, which merges what it knows of older
     switches, is the worse the oftener there are some.
+
+    Args:
+        mixtures: Whether several histories of modes are kept apart.
     """
     import jax.numpy as jnp
 
     from jaxtrack import models
-    from jaxtrack.targets import imm
+    from jaxtrack.targets import imm, mixture
     from jaxtrack.trackers import single_scan
 
     def params(slow: float, fast: float, leave: float, back: float) -> Any:
@@ -164,8 +168,9 @@ def switching() -> Case:
         target = imm.Params(motions, modes, *one[1:])
         return single_scan.Params(target, None, clutter(1.0), there(1.0, 2, 2))
 
+    several = mixture.mixture(8, prune_threshold=1e-7, merge_threshold=0.01)
     return Case(
-        patient(imm.imm(), 2),
+        patient(several if mixtures else imm.imm(), 2),
         params(0.05, 10.0, 0.02, 0.05),
         params(0.1, 5.0, 0.05, 0.1),
         lambda p: (p.target.motions, p.target.switching),

@@ -198,5 +198,17 @@ def test_the_table_of_fits_counts_what_lies_within_two_errors():
     row = {"case": "PHD", "seconds": 2.0, "stopped": "converged"}
     found = (1.1, 0.1), (1.3, 0.1), (0.9, None), (1.0, 0.2)
     fits = [row | {"rows": {"noise": [1.0, *pair]}} for pair in found]
-    *_, last = learning.table(fits, {"PHD": 400}).strip().splitlines()
-    assert last == "| PHD | noise | 1 | 1.075 ± 0.085 | 0.1 | 67% of 3 | 400 | 2 |"
+    about = {"PHD": learning.About(400, {"noise": "positive"})}
+    *_, last = learning.table(fits, about).strip().splitlines()
+    told = "0.1 | 67% of 3 | 67%"
+    assert last == f"| PHD | noise | 1 | 1.075 ± 0.085 | {told} | 400 | 2 |"
+    both = [row | {"rows": {"noise": [1.0, 1.1, 0.1], "place": [0, 1, 1]}}]
+    about["PHD"].kinds["place"] = "real"
+    *_, last = learning.table(both, about).strip().splitlines()
+    assert last == "|  | place | 0 | 1 ± inf | 1 | 100% of 1 | 100% |  |  |"
+    far = [
+        row | {"rows": {"noise": [1.0, *pair]}} for pair in [(0.78, 0.1), (1.3, 0.14)]
+    ]
+    *_, last = learning.table(far, about).strip().splitlines()
+    # exp(0.256) times 0.78 is more than 1, and 1.3 times exp(-0.215) is, too.
+    assert last.split(" | ")[5:7] == ["0% of 2", "50%"]

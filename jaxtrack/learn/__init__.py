@@ -32,6 +32,7 @@ from jaxtrack.learn import (
     em,
     history,
     information,
+    intervals,
     leaves,
     loop,
     loss,
@@ -54,6 +55,7 @@ __all__ = [
     "fit",
     "history",
     "information",
+    "intervals",
     "leaves",
     "loop",
     "loss",
@@ -76,9 +78,9 @@ class Fit(NamedTuple):
         params: Those of the least loss; with `batch` or `window`, whose losses cannot
             be compared, and after a divergence the last ones that were finite.
         history: What it came through.
-        information: Standard errors of what was learned by path, and what they follow
-            from; None where the loss is not the evidence, of all scans or of those
-            held out, or there was no step.
+        information: Standard errors and intervals of what was learned by path, and
+            what they follow from; None where the loss is not the evidence, of all scans
+            or of those held out, or there was no step.
         num_steps: How many steps it took.
         stopped: "converged", "diverged" or "out of steps".
         message: The same in a sentence.

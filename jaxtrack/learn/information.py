@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxtrack.learn import leaves, slopes
+from jaxtrack.learn import intervals, leaves, slopes
 from jaxtrack.learn.loss import evidence
 from jaxtrack.types import PyTree
 
@@ -50,12 +50,15 @@ class Information(NamedTuple):
             (in float32 rounding may make it so where next to nothing is known).
             They are meant for a maximum: a fit that ran out of steps may not be at one,
             even if they are finite.
+        interval: Two of these to each side, on a scale that goes with what the number
+            may be (`intervals`), [..., 2] by path.
     """
 
     names: list[str]
     hessian: np.ndarray
     cov: np.ndarray
     std_error: dict[str, np.ndarray]
+    interval: dict[str, np.ndarray]
 
 
 def observed(
@@ -98,8 +101,15 @@ def observed(
         ).reshape(rows.shape[:-1])
         for name, rows in rate.items()
     }
-    names = leaves.entries(problem.plan, params)
-    return Information(names, hessian, cov_of(hessian, tolerance), std_error)
+    names, cov = leaves.entries(problem.plan, params), cov_of(hessian, tolerance)
+    value = _values(problem.plan, params, free)
+    interval = {
+        leaf.path: intervals.interval(
+            leaf.constraint.kind, value[leaf.path], std_error[leaf.path]
+        )
+        for leaf in problem.plan
+    }
+    return Information(names, hessian, cov, std_error, interval)
 
 
 def std_of(
@@ -150,6 +160,9 @@ def _axes(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scale = np.where(alone > 0, alone, 1.0)
     value, vector = np.linalg.eigh(hessian / np.outer(scale, scale))
     return value, vector / scale[:, None]
+
+
+_values = jax.jit(leaves.values_of, static_argnums=0)
 
 
 @functools.partial(jax.jit, static_argnums=0)
