@@ -44,8 +44,10 @@ def cases() -> dict[str, Callable[[], Case]]:
         "IMM-JPDA": switching,
         "JPDA, mixtures of modes": functools.partial(switching, mixtures=True),
         "PHD": functools.partial(born, "phd", certain=False),
+        "PHD, detection 0.98": functools.partial(born, "phd", False, 0.98),
         "CPHD": functools.partial(born, "cphd", certain=False),
         "CBMeMBer": functools.partial(born, "cbmember", certain=False),
+        "CBMeMBer, clutter 0.5": functools.partial(born, "cbmember", False, 0.9, 0.5),
         "PMBM": functools.partial(born, "pmbm"),
         "MHT": functools.partial(born, "mht"),
         "PHD, all at once": functools.partial(born, "phd"),
@@ -220,7 +222,9 @@ def particles() -> Case:
     )
 
 
-def born(name: str, certain: bool = True, detect: float = 0.9) -> Case:
+def born(
+    name: str, certain: bool = True, detect: float = 0.9, rate: float = 2.0
+) -> Case:
     """Makes a case of targets that are born at a place and die.
 
     Args:
@@ -228,6 +232,7 @@ def born(name: str, certain: bool = True, detect: float = 0.9) -> Case:
         certain: Whether its evidence is right enough to tell a missed detection and a
             death apart; if not, their probabilities are known.
         detect: Probability of detection.
+        rate: False detections a scan.
     """
     unsure = (0.8, 0.9) if certain else (detect, 0.95)
     # A newborn that is hard to tell from clutter is what a Poisson process does worst.
@@ -235,8 +240,8 @@ def born(name: str, certain: bool = True, detect: float = 0.9) -> Case:
     birth = functools.partial(one_birth, name, width)
     return Case(
         maker(name),
-        world(name, 1.0, detect, 0.95, 2.0, birth(0.1, 0.0)),
-        world(name, 1.4, *unsure, 3.0, birth(0.2, width / 2)),
+        world(name, 1.0, detect, 0.95, rate, birth(0.1, 0.0)),
+        world(name, 1.4, *unsure, 1.5 * rate, birth(0.2, width / 2)),
         lambda p: (
             p.target.sensor,
             (p.target.detect, p.target.survive) if certain else (),
