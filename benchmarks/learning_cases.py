@@ -279,6 +279,8 @@ def maker(name: str) -> Any:
         return cbmember.cbmember(target, **room)
     if name == "mht":
         return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
+    if name != "pmbm":
+        raise ValueError(f"name is {name!r}; give phd, cphd, cbmember, mht or pmbm")
     # Weak tracks that go back to those undetected need no hypotheses of their own.
     return pmbm.pmbm(
         target,

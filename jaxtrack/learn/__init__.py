@@ -36,11 +36,11 @@ from jaxtrack.learn import (
     leaves,
     loop,
     loss,
+    recordings,
     segments,
     sizes,
     slopes,
     supports,
-    together,
 )
 from jaxtrack.learn.bar import progress_bar
 from jaxtrack.learn.history import History
@@ -60,11 +60,11 @@ __all__ = [
     "loop",
     "loss",
     "progress_bar",
+    "recordings",
     "segments",
     "sizes",
     "slopes",
     "supports",
-    "together",
     "unconstrain",
 ]
 
@@ -192,13 +192,13 @@ def fit(
             another fit, or a reason of `unconstrain`.
     """
     sizes.check_end(num_steps, tolerance)
-    scans, truth, length = together.together(scans, truth)
+    scans, truth, length = recordings.stack(scans, truth)
     several, number, total = sizes.recordings(scans, truth)
     uneven = length is not None and window is None
     sizes.check_functions(optimizer, loss, prior, truth is not None, uneven)
     shortest = total if length is None else int(length.min())
-    counts = {"num_steps": num_steps, "patience": patience, "segment": segment}
-    sizes.check(number, shortest, batch, window, block=block, **counts)
+    rest = {"num_steps": num_steps, "patience": patience, "segment": segment}
+    sizes.check(number, shortest, batch, window, block=block, **rest)
     plan = leaves.plan(params, where)
     problem = slopes.Problem(tracker, plan, loss, prior, batch, window, block, segment)
     data = slopes.gather(scans, truth, seed, several, length)

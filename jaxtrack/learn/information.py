@@ -102,13 +102,7 @@ def observed(
         for name, rows in rate.items()
     }
     names, cov = leaves.entries(problem.plan, params), cov_of(hessian, tolerance)
-    value = _values(problem.plan, params, free)
-    interval = {
-        leaf.path: intervals.interval(
-            leaf.constraint.kind, value[leaf.path], std_error[leaf.path]
-        )
-        for leaf in problem.plan
-    }
+    interval = _intervals(problem.plan, params, free, std_error)
     return Information(names, hessian, cov, std_error, interval)
 
 
@@ -162,7 +156,28 @@ def _axes(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return value, vector / scale[:, None]
 
 
-_values = jax.jit(leaves.values_of, static_argnums=0)
+def _intervals(
+    plan: leaves.Plan,
+    params: PyTree,
+    free: leaves.Free,
+    std_error: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Returns the intervals of the learned arrays, bounded by what was found."""
+    values = jax.tree.leaves(params)
+    for leaf, value in zip(plan, _values(plan, params, free), strict=True):
+        values[leaf.index] = np.asarray(value, float)
+    intervals_of = {}
+    for leaf in plan:
+        bounds = leaves.bounds_of(leaf, values.__getitem__)
+        told = values[leaf.index], std_error[leaf.path], bounds.low, bounds.high
+        intervals_of[leaf.path] = intervals.interval(leaf.constraint.kind, *told)
+    return intervals_of
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _values(plan: leaves.Plan, params: PyTree, free: leaves.Free) -> list[jax.Array]:
+    told = leaves.values_of(plan, params, free)
+    return [told[leaf.path] for leaf in plan]
 
 
 @functools.partial(jax.jit, static_argnums=0)

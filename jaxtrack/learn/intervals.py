@@ -1,8 +1,9 @@
 """Where a learned number lies: two standard errors to each side, on its own scale.
 
-What must be positive is taken by its logarithm, a probability by its log-odds: there
-the evidence is nearer to a parabola, and an interval never holds what cannot be. Of an
-array with one free number to each entry these are two errors of the free numbers.
+What must be positive is taken by its logarithm, a probability by its log-odds between
+its bounds: there the evidence is nearer to a parabola, and an interval has nothing in
+it that cannot be. Real numbers are taken as they are, and so is what stands off the
+diagonal of a covariance.
 
     >>> import numpy as np
     >>> from jaxtrack.learn import intervals
@@ -23,13 +24,21 @@ from jaxtrack.constraints import Kind
 WIDTH = 2.0  # standard errors
 
 
-def interval(kind: Kind, value: ArrayLike, std_error: ArrayLike) -> np.ndarray:
-    """Returns the ends, about 95 % of the time to either side of the truth.
+def interval(
+    kind: Kind,
+    value: ArrayLike,
+    std_error: ArrayLike,
+    low: ArrayLike = 0.0,
+    high: ArrayLike = 1.0,
+) -> np.ndarray:
+    """Returns the ends between which the truth is, about 95 % of the time.
 
     Args:
         kind: What values the array may have.
         value: What was found, [...].
         std_error: Its standard errors, [...].
+        low: What probabilities are above.
+        high: What they are below.
 
     Returns:
         [..., 2]; the value itself where the error is 0, all that may be where it is
@@ -37,20 +46,16 @@ def interval(kind: Kind, value: ArrayLike, std_error: ArrayLike) -> np.ndarray:
     """
     value = np.asarray(value, float)
     half = WIDTH * np.asarray(std_error, float)
-    ends = _real(value, half)
     if kind in ("probability", "below", "simplex", "jumps"):
-        inside = (value > 0) & (value < 1)
-        ends = np.where(inside[..., None], _odds(value, half), ends)
-    elif kind in ("positive", "covariance"):
-        ends = np.where(_positive(kind, value)[..., None], _log(value, half), ends)
+        ends = _odds(value, half, np.asarray(low, float), np.asarray(high, float))
+    elif kind == "positive":
+        ends = _log(value, half)
+    elif kind == "covariance":
+        own = np.eye(value.shape[-1], dtype=bool)[..., None]
+        ends = np.where(own, _log(value, half), _real(value, half))
+    else:
+        ends = _real(value, half)
     return np.where((half == 0)[..., None], value[..., None], ends)
-
-
-def _positive(kind: Kind, value: np.ndarray) -> np.ndarray:
-    """Returns which entries are: of a covariance, its variances."""
-    if kind == "covariance":
-        return (value > 0) & np.eye(value.shape[-1], dtype=bool)
-    return value > 0
 
 
 def _real(value: np.ndarray, half: np.ndarray) -> np.ndarray:
@@ -60,11 +65,21 @@ def _real(value: np.ndarray, half: np.ndarray) -> np.ndarray:
 def _log(value: np.ndarray, half: np.ndarray) -> np.ndarray:
     safe = np.where(value > 0, value, 1.0)
     with np.errstate(over="ignore"):
-        return np.exp(_real(np.log(safe), half / safe))
+        ends = np.exp(_real(np.log(safe), half / safe))
+    # Smaller than any number that there is: nothing is known of its logarithm.
+    return np.where((value > 0)[..., None], ends, [0.0, np.inf])
 
 
-def _odds(value: np.ndarray, half: np.ndarray) -> np.ndarray:
-    safe = np.where((value > 0) & (value < 1), value, 0.5)
-    odds = _real(np.log(safe) - np.log1p(-safe), half / (safe * (1 - safe)))
+def _odds(
+    value: np.ndarray, half: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    width = high - low
+    share = (value - low) / width
+    inside = (share > 0) & (share < 1)
+    safe = np.where(inside, share, 0.5)
+    odds = np.log(safe) - np.log1p(-safe)
     with np.errstate(over="ignore"):
-        return 1 / (1 + np.exp(-odds))
+        ends = 1 / (1 + np.exp(-_real(odds, half / width / (safe * (1 - safe)))))
+    # It was rounded to a bound.
+    ends = np.where(inside[..., None], ends, np.clip(_real(share, half / width), 0, 1))
+    return low[..., None] + width[..., None] * ends

@@ -133,7 +133,7 @@ def unconstrain(plan: Plan, params: PyTree) -> Free:
                 leaf.constraint.kind,
                 _numbers(values[leaf.index]),
                 leaf.place,
-                _bounds(leaf, lambda i: _numbers(values[i])),
+                bounds_of(leaf, lambda i: _numbers(values[i])),
             ),
             jnp.result_type(values[leaf.index], float),
         )
@@ -162,7 +162,7 @@ def values_of(plan: Plan, params: PyTree, free: Free) -> dict[str, Array]:
             return start[index]
         kind, x = leaf.constraint.kind, free[leaf.path]
         # Below what is learned too; but a scale stays what it was at the start.
-        bounds = _bounds(leaf, value if kind == "below" else start.__getitem__)
+        bounds = bounds_of(leaf, value if kind == "below" else start.__getitem__)
         return supports.constrain(kind, start[index], x, leaf.place, bounds)
 
     return {leaf.path: value(leaf.index) for leaf in plan}
@@ -278,7 +278,7 @@ def _leaf(
     )
     value = _numbers(values[i])
     leaf = Leaf(one.path, i, one.constraint, supports.Places((), ()), other, above)
-    bounds = _bounds(leaf, lambda j: _numbers(values[j]))
+    bounds = bounds_of(leaf, lambda j: _numbers(values[j]))
     remedy = supports.remedy(one.constraint.kind, value, bounds)
     if remedy:
         told = np.array2string(value, threshold=20, separator=", ").replace("\n", "")
@@ -286,7 +286,7 @@ def _leaf(
     return leaf._replace(place=supports.places(one.constraint.kind, value))
 
 
-def _bounds(leaf: Leaf, value: Callable[[int], Any]) -> supports.Bounds:
+def bounds_of(leaf: Leaf, value: Callable[[int], Any]) -> supports.Bounds:
     """Returns what the values of other leaves say about one."""
     low = value(leaf.above) if leaf.above is not None else 0.0
     if leaf.other is None:

@@ -2,10 +2,10 @@
 
 A loss is a function (estimates, scans) -> scalar, of a tracker's `Estimate` and of
 scans with a leading T, or (estimates, scans, truth) where `fit` is given the truth. It
-should be a mean over scans, so that step sizes do not depend on T. Of recordings of
-unequal length it is also told which scans count, `counts` [T] (bool): after the end of
-one there is nothing. `evidence` and `held_out` need no truth; `ospa` and `gospa` are
-the metrics in a form with slopes:
+should be a mean over scans, so that step sizes do not depend on T. One that takes
+`counts` [T] (bool), named, is also told which scans those are: recordings of unequal
+length are filled up at the end. `evidence` and `held_out` need no truth; `ospa` and
+`gospa` are the metrics in a form with slopes:
 
 - an estimate counts with its probability to exist, as Xia et al. have it, and
 - Sinkhorn's shares stand for the assignment (`assign.soft`). As the temperature falls,
@@ -80,7 +80,7 @@ def counted(loss: Loss, num_scans: int) -> int | None:
     return None
 
 
-def counting(loss: Loss, num_scans: int, length: Array) -> Array:
+def mask_of(loss: Loss, num_scans: int, length: Array) -> Array:
     """Returns which scans count of a recording that was filled up, [T] (bool).
 
     Args:

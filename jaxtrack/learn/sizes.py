@@ -27,12 +27,12 @@ def recordings(scans: PyTree, truth: PyTree) -> tuple[bool, int, int]:
     Raises:
         ValueError: They have not.
     """
-    told: Any = scans.each[0] if hasattr(scans, "each") else scans
+    told: Any = scans.each[0] if getattr(scans, "each", None) else scans
     if not hasattr(told, "interval"):
         inner = ", which has them in .scan" if hasattr(told, "scan") else ""
         raise ValueError(
             f"scans are of type {type(scans).__name__}{inner}; give a Scan or Scans "
-            "whose arrays begin with [T] or [R, T]"
+            "whose arrays begin with [T] or [R, T], or a list of some with [T]"
         )
     shape = np.shape(told.interval)
     if len(shape) not in (1, 2) or 0 in shape:
@@ -66,12 +66,14 @@ def check(
         window: Of T, or None.
         **counts: At least 1 each, or None.
     """
-    for name, value, most in (
-        ("batch", batch, num_recordings),
-        ("window", window, num_scans),
+    for name, value, most, all_of in (
+        ("batch", batch, num_recordings, "recordings"),
+        ("window", window, num_scans, "scans of the shortest recording"),
     ):
         if value is not None and not (_whole(value) and 1 <= value <= most):
-            raise ValueError(f"{name} is {value!r}; give a number from 1 to {most}")
+            raise ValueError(
+                f"{name} is {value!r}; give a number from 1 to {most}, all {all_of}"
+            )
     for name, value in counts.items():
         if value is not None and not (_whole(value) and value >= 1):
             raise ValueError(f"{name} is {value!r}; give at least 1, a whole number")
@@ -106,16 +108,7 @@ def check_functions(
     for name, function in {"loss": loss, "prior": prior}.items():
         if not (callable(function) or (name == "prior" and prior is None)):
             raise ValueError(f"{name} is {function!r}; give a function")
-    takes = [_takes(loss, number) for number in (2, 3)]
-    if uneven:
-        told = [_takes(loss, number, counts=None) for number in (2, 3)]
-        if any(takes) and not any(told):
-            raise ValueError(
-                "the recordings are of unequal length, and the loss takes no counts=; "
-                "give one that is told which scans count, (estimates, scans, *, "
-                "counts), or windows"
-            )
-        takes = told
+    takes = [_takes(loss, x) or _takes(loss, x, counts=None) for x in (2, 3)]
     if takes == [False, True] and not has_truth:
         raise ValueError("the loss needs the truth; give truth=")
     if takes == [True, False] and has_truth:
@@ -128,6 +121,22 @@ def check_functions(
             "the loss does not take (estimates, scans), nor (estimates, scans, truth); "
             "give one of learn.loss, or a function of these"
         )
+    if uneven and not _takes(loss, 2 + has_truth, counts=None):
+        raise ValueError(
+            "the recordings are of unequal length, and the loss takes no counts=; give "
+            "one that is told which scans count, (estimates, scans, *, counts), or "
+            "windows"
+        )
+
+
+def needs_counts(loss: Any, num_told: int) -> bool:
+    """Returns whether a loss must be told which scans count.
+
+    Args:
+        loss: See `learn.loss`.
+        num_told: Arrays that it is told besides the estimates.
+    """
+    return not _takes(loss, 1 + num_told)
 
 
 def _takes(function: Any, number: int, **named: Any) -> bool:
@@ -137,10 +146,10 @@ def _takes(function: Any, number: int, **named: Any) -> bool:
     except (TypeError, ValueError):  # of what was compiled elsewhere
         return True
     try:
-        signature.bind(*range(number), **named)
+        bound = signature.bind(*range(number), **named)
     except TypeError:
         return False
-    return True
+    return bound.arguments.get("counts") is None  # no other in its place
 
 
 def _whole(value: Any) -> bool:

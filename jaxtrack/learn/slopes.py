@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack import engine
-from jaxtrack.learn import leaves, segments
-from jaxtrack.learn.loss import Loss, counted, counting
+from jaxtrack.learn import leaves, recordings, segments
+from jaxtrack.learn.loss import Loss, counted, mask_of
+from jaxtrack.learn.sizes import needs_counts
 from jaxtrack.types import Array, PyTree, Tracker
 
 
@@ -135,8 +136,8 @@ def value_of(
     )
     mean = each.mean()
     if part.length is not None:
-        weight = _counted(problem, part)
-        mean = (each * weight).sum() / weight.sum()
+        # Not by the weight of this batch: its mean over batches would be another one.
+        mean = (each * _counted(problem, part)).mean() / _counted(problem, data).mean()
     if problem.prior is None:
         return mean
     density = problem.prior(params)
@@ -165,7 +166,7 @@ def _counted(problem: Problem, data: Data) -> Array:
     if problem.window is not None:  # each scan comes to be among the last ones of some
         return data.length
     total = jax.tree.leaves(data.scans)[0].shape[1]
-    count = functools.partial(counting, problem.loss, total)
+    count = functools.partial(mask_of, problem.loss, total)
     return jax.vmap(count)(data.length).sum(1)
 
 
@@ -198,13 +199,14 @@ def _one(
     data: Data,
 ) -> Array:
     """Returns the loss of one recording."""
-    estimates = segments.run(tracker, params, data.scans, data.keys, segment)
     told = (data.scans,) if data.truth is None else (data.scans, data.truth)
-    if data.length is None or window is not None:  # a window has no scans but its own
-        value = loss(estimates, *told)
-    else:
-        total = len(jax.tree.leaves(data.scans)[0])
-        value = loss(estimates, *told, counts=counting(loss, total, data.length))
+    total = len(jax.tree.leaves(data.scans)[0])
+    more = {"counts": jnp.ones(total, bool)} if needs_counts(loss, len(told)) else {}
+    if data.length is not None and window is None:  # a window has no scans but its own
+        tracker = recordings.stopped(tracker, data.length)
+        more = {"counts": mask_of(loss, total, data.length)}
+    estimates = segments.run(tracker, params, data.scans, data.keys, segment)
+    value = loss(estimates, *told, **more)
     _check_scalar("loss", value)
     return value
 
