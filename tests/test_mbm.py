@@ -102,12 +102,12 @@ def test_it_is_the_recursion_over_sets(name):
         apart = bernoullis.kept_apart(*own)
         apart = sorted((w for w in apart.values() if w > 0), reverse=True)
         probs = sorted((w for w, _ in sets.values()), reverse=True)
-        np.testing.assert_allclose(apart, probs, rtol=1e-9)
+        np.testing.assert_allclose(apart, probs, rtol=1e-10)
         number = np.zeros(MAX + 1)
         for key, (prob, _) in sets.items():
             number[len(key)] += prob
         np.testing.assert_allclose(
-            bernoullis.numbers(*own, 0.0, MAX), number, rtol=1e-9, atol=1e-14
+            bernoullis.numbers(*own, 0.0, MAX), number, rtol=1e-10, atol=1e-14
         )
         np.testing.assert_allclose(estimate.num_mean[k], number @ np.arange(MAX + 1))
         for label, who in enumerate(["start 0", "0 0", "1 0"]):
@@ -119,10 +119,10 @@ def test_it_is_the_recursion_over_sets(name):
             ]
             at = state.trees.label[k] == label
             expected = sum(prob for prob, _ in mine)
-            np.testing.assert_allclose(weight[k][at], expected, rtol=1e-9)
+            np.testing.assert_allclose(weight[k][at], expected, rtol=1e-10)
             place = sum(prob * mean for prob, mean in mine) / expected
             # Means of either sign, of order one.
-            np.testing.assert_allclose(mean[k][at][0], place, rtol=1e-8, atol=1e-10)
+            np.testing.assert_allclose(mean[k][at][0], place, rtol=1e-10, atol=1e-10)
 
 
 def test_hypotheses_that_know_who_is_there_say_yes_or_no():

@@ -96,7 +96,7 @@ def test_poisson_numbers_given_as_such_change_nothing():
     told, plain = solve(*given, counts), solve(*given)
     for name in ("log_prob", "log_evidence", "num_prob", "track_prob"):
         np.testing.assert_allclose(
-            getattr(told, name), getattr(plain, name), rtol=1e-9, err_msg=name
+            getattr(told, name), getattr(plain, name), rtol=1e-10, err_msg=name
         )
 
 

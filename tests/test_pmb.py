@@ -65,11 +65,11 @@ def test_after_one_scan_it_knows_all_about_each_track_by_itself():
         for label in range(2 + SIZES[0]):
             own, other = tracks.label[k] == label, exact.trees.label[k] == label
             prob = tracks.existence_prob[k][own]
-            np.testing.assert_allclose(prob, weight[k][other], rtol=1e-9)
+            np.testing.assert_allclose(prob, weight[k][other], rtol=1e-10)
             np.testing.assert_allclose(
-                tracks.belief.mean[k][own], mean[k][other], rtol=1e-8, atol=1e-10
+                tracks.belief.mean[k][own], mean[k][other], rtol=1e-10, atol=1e-10
             )  # of either sign, of order one
-    np.testing.assert_allclose(estimate.num_mean, best.num_mean, rtol=1e-9)
+    np.testing.assert_allclose(estimate.num_mean, best.num_mean, rtol=1e-10)
     assert (estimate.dropped < 1e-12).all()  # roundings of sums of order one
 
 
@@ -79,7 +79,7 @@ def test_recycling_keeps_the_expected_number(name):
     np.testing.assert_allclose(same, evidence, rtol=1e-12)
     # What finds no room among the undetected is dropped, and said to be.
     kept = estimate.num_mean + estimate.dropped
-    np.testing.assert_allclose(kept, plain.num_mean, rtol=1e-9)
+    np.testing.assert_allclose(kept, plain.num_mean, rtol=1e-10)
     tracks = state.tracks if name == "pmb" else state.trees
     prob = np.where(tracks.existence_prob > 0, tracks.existence_prob, 1.0)
     if name == "pmb":

@@ -70,7 +70,7 @@ def test_weights_are_those_of_all_hypotheses_with_the_same_pairs():
     for weight, prob in zip(state.hypotheses.log_weight, known.log_prob, strict=True):
         expected = np.bincount(where.ravel(), np.exp(prob))
         found = np.exp(weight[: len(groups)])
-        np.testing.assert_allclose(found, -np.sort(-expected), rtol=1e-9)
+        np.testing.assert_allclose(found, -np.sort(-expected), rtol=1e-10)
         assert (weight[len(groups) :] == -np.inf).all()
 
 
@@ -87,11 +87,11 @@ def test_it_knows_how_likely_every_number_of_targets_is():
             strict=True,
         )
     ]
-    np.testing.assert_allclose(found, known.num_prob, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(found, known.num_prob, rtol=1e-10, atol=1e-14)
     mean = known.num_prob @ np.arange(MAX + 1)
     var = known.num_prob @ np.arange(MAX + 1) ** 2 - mean**2
-    np.testing.assert_allclose(estimate.num_mean, mean, rtol=1e-9)
-    np.testing.assert_allclose(estimate.num_var, var, rtol=1e-8)
+    np.testing.assert_allclose(estimate.num_mean, mean, rtol=1e-10)
+    np.testing.assert_allclose(estimate.num_var, var, rtol=1e-10)
     assert (estimate.dropped < 1e-12).all()  # roundings of sums of order one
 
 
@@ -110,12 +110,12 @@ def test_tracks_are_where_all_hypotheses_say():
     for label, mine in first.items():
         at = state.trees.label == label  # [R, N]
         found = (estimate.existence_prob * at).sum(1)
-        np.testing.assert_allclose(found, share[:, mine].sum(1), rtol=1e-9)
+        np.testing.assert_allclose(found, share[:, mine].sum(1), rtol=1e-10)
         np.testing.assert_allclose((weight * at).sum(1), found, rtol=1e-12)
         place = (share[..., None] * known.belief.mean)[:, mine].sum(1)
         found = (weight[..., None] * mean * at[..., None]).sum(1)
         # A sum of terms of either sign.
-        np.testing.assert_allclose(found, place, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(found, place, rtol=1e-10, atol=1e-10)
 
 
 def test_targets_that_stay_have_the_weights_of_reid_and_mori():
@@ -129,7 +129,7 @@ def test_targets_that_stay_have_the_weights_of_reid_and_mori():
         )
         found = sorted((prob for prob in found if prob > 0), reverse=True)
         expected = -np.sort(-np.exp(known.log_prob[k]))
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 def test_what_finds_no_room_is_told():

@@ -24,9 +24,7 @@ SIZES, NUM = (2, 1, 2), 30  # FEW where hypotheses say more
 TIMES = 3  # of birth that are told apart
 BIRTH = 0.3  # probability, where births are multi-Bernoulli
 PROB = 1e-10  # what float64 leaves of probabilities, sums over all hypotheses
-STATE = (
-    1e-9  # m, m/s and their squares, of order ten: the smoother divides by variances
-)
+STATE = 1e-10  # m, m/s and their squares
 BORN = {"max_tracks": 3, "max_leaves": 20}
 CERTAIN = {"max_tracks": 3, "max_leaves": 12}
 SMALL = {"max_tracks": 3, "max_leaves": 4, "max_undetected": 3, "max_hypotheses": 8}
@@ -188,8 +186,8 @@ def test_targets_are_as_likely_as_all_hypotheses_say(kind, alive_only):
         number = np.arange(MOST)
         mean = expected.num_prob @ number
         var = expected.num_prob @ number**2 - mean**2
-        np.testing.assert_allclose(told.num_mean[seed, t], mean, rtol=1e-9)
-        np.testing.assert_allclose(told.num_var[seed, t], var, rtol=1e-8)
+        np.testing.assert_allclose(told.num_mean[seed, t], mean, rtol=1e-10)
+        np.testing.assert_allclose(told.num_var[seed, t], var, rtol=1e-10)
         there = labelled(
             told.label[seed, t], told.existence_prob[seed, t], len(expected.best)
         )
