@@ -62,11 +62,14 @@ def maker(name: str) -> Any:
     if name == "cbmember":
         return cbmember.cbmember(target, **room)
     if name == "mht":
-        # What decides after two scans takes targets for dead that are seen again.
-        slow: Any = {"num_scans": 4, "max_leaves": 20, "max_tracks": 16}
-        return mht.mht(target, max_undetected=4, gate_prob=1.0, **slow)
+        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
+    if name == "slow mht":  # after two scans some count as dead that are seen again
+        room = {"num_scans": 4, "max_leaves": 20, "max_tracks": 16}
+        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
     if name != "pmbm":
-        raise ValueError(f"name is {name!r}; give phd, cphd, cbmember, mht or pmbm")
+        raise ValueError(
+            f"name is {name!r}; give phd, cphd, cbmember, pmbm, mht or slow mht"
+        )
     # Weak tracks that go back to those undetected need no hypotheses of their own.
     return pmbm.pmbm(
         target,

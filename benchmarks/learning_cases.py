@@ -52,6 +52,7 @@ def cases() -> dict[str, Callable[[], Case]]:
         "CBMeMBer, clutter 0.5": functools.partial(born, "cbmember", False, 0.9, 0.5),
         "PMBM": functools.partial(born, "pmbm"),
         "MHT": functools.partial(born, "mht"),
+        "MHT, after four scans": functools.partial(born, "slow mht"),
         "PHD, all at once": functools.partial(born, "phd"),
         "CPHD, all at once": functools.partial(born, "cphd"),
         "CBMeMBer, all at once": functools.partial(born, "cbmember"),
