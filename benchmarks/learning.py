@@ -144,7 +144,7 @@ def table(fits: list[dict[str, Any]], abouts: dict[str, About]) -> str:
         mine = [each for each in fits if each["case"] == name]
         seconds = np.median([each["seconds"] for each in mine])
         told = abouts[name]
-        rest = told.scans, f"{seconds:.2g}"
+        rest = told.scans, f"{float(f'{seconds:.2g}'):g}"
         for word in mine[0]["rows"]:
             every = np.array([each["rows"][word] for each in mine], float)
             numbers = _numbers(told.kinds[word], *every.T)
