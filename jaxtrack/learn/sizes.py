@@ -99,7 +99,7 @@ def check_functions(
         loss: See `learn.loss`.
         prior: A function, or None.
         has_truth: Whether the loss is told the truth.
-        uneven: Whether it must be told which scans count, see `learn.together`.
+        uneven: Whether it must be told which scans count, see `learn.recordings`.
     """
     if not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(
