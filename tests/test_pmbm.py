@@ -87,6 +87,7 @@ def test_it_knows_how_likely_every_number_of_targets_is():
             strict=True,
         )
     ]
+    # Of numbers that are all but impossible there is only the rounding of sums to one.
     np.testing.assert_allclose(found, known.num_prob, rtol=1e-10, atol=1e-14)
     mean = known.num_prob @ np.arange(MAX + 1)
     var = known.num_prob @ np.arange(MAX + 1) ** 2 - mean**2
