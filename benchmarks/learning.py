@@ -21,8 +21,6 @@ from typing import Any, NamedTuple
 from benchmarks.learning_cases import Case, cases, there
 from jaxtrack import start
 
-LAST = 40  # steps that are averaged where the evidence is rough
-
 
 class About(NamedTuple):
     """What the table says of a case.
@@ -86,11 +84,12 @@ def fit(name: str, case: Case, seed: int) -> dict[str, Any]:
         case.tracker,
         case.first,
         scans,
-        optimizer(case.steps, case.rough),
+        optimizer(case.steps, case.rough is not None and case.rough.draws > 1),
         where=case.where,
         num_steps=case.steps or 25,
         patience=case.steps or 4,
         tolerance=1e-5,
+        rough=case.rough,
     )
     seconds = time.perf_counter() - begin
     truth, told = (
@@ -105,8 +104,6 @@ def fit(name: str, case: Case, seed: int) -> dict[str, Any]:
         if path in truth:
             known, value = found.information, told[path]
             error = np.nan if known is None else known.std_error[path]
-            if case.rough and found.history is not None:
-                value, error = found.history.values[path][-LAST:].mean(0), np.nan
             three = (truth[path], value, error)
             numbers = [np.broadcast_to(x, np.shape(three[0]))[index] for x in three]
             rows[word] = [float(x) if np.isfinite(x) else None for x in numbers]
@@ -114,14 +111,14 @@ def fit(name: str, case: Case, seed: int) -> dict[str, Any]:
 
 
 @functools.cache
-def optimizer(steps: int, rough: bool) -> Any:
+def optimizer(steps: int, drawn: bool) -> Any:
     """Returns one optimiser for all, so that a case compiles once."""
     import optax
 
     if not steps:
         return optax.lbfgs()
-    # What is averaged must go on moving.
-    return optax.adam(0.05 if rough else optax.cosine_decay_schedule(0.1, steps))
+    # Where slopes are drawn the places must go on moving for their mean to be better.
+    return optax.adam(0.05 if drawn else optax.cosine_decay_schedule(0.1, steps))
 
 
 def table(fits: list[dict[str, Any]], abouts: dict[str, About]) -> str:

@@ -18,6 +18,8 @@ def born(
         detect: Probability of detection.
         rate: False detections a scan.
     """
+    from jaxtrack import learn
+
     unsure = (0.8, 0.9) if certain else (detect, 0.95)
     # A newborn that is hard to tell from clutter is what a Poisson process does worst.
     width = 5.0 if name in ("phd", "cphd") else 20.0
@@ -43,6 +45,7 @@ def born(
             "birth.mean": ("place of births, m", (0, 0)),
         },
         steps=100,
+        rough=learn.Rough(),
     )
 
 
@@ -61,15 +64,12 @@ def maker(name: str) -> Any:
         return cphd.cphd(target, max_targets=8, **cloud)
     if name == "cbmember":
         return cbmember.cbmember(target, **room)
-    if name == "mht":
-        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
-    if name == "slow mht":  # after two scans some count as dead that are seen again
-        room = {"num_scans": 4, "max_leaves": 20, "max_tracks": 16}
-        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
+    if name == "mht":  # after two scans some count as dead that are seen again
+        room |= {"num_scans": 4, "max_leaves": 20, "max_tracks": 16}
+        more = {"max_hypotheses": 128, "max_undetected": 4, "gate_prob": 1.0}
+        return mht.mht(target, **room, **more)
     if name != "pmbm":
-        raise ValueError(
-            f"name is {name!r}; give phd, cphd, cbmember, pmbm, mht or slow mht"
-        )
+        raise ValueError(f"name is {name!r}; give phd, cphd, cbmember, pmbm or mht")
     # Weak tracks that go back to those undetected need no hypotheses of their own.
     return pmbm.pmbm(
         target,

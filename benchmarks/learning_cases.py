@@ -19,8 +19,7 @@ class Case(NamedTuple):
         size: Recordings, scans of each, slots of a scan.
         steps: Of Adam, slower and slower; 0 where the evidence is so smooth that a
             quasi-Newton method finds its way, which stops before a cliff.
-        rough: Whether it is so rough that a mean of Adam's last steps is better than
-            the place of the least loss, and its Hessian means nothing.
+        rough: What is done where it is rough, a `learn.Rough`.
     """
 
     tracker: Any
@@ -30,7 +29,7 @@ class Case(NamedTuple):
     names: dict[str, tuple[str, tuple[int, ...]]]
     size: tuple[int, int, int] = (8, 50, 12)
     steps: int = 0
-    rough: bool = False
+    rough: Any = None
 
 
 def cases() -> dict[str, Callable[[], Case]]:
@@ -43,16 +42,16 @@ def cases() -> dict[str, Callable[[], Case]]:
         "JPDA, exact": functools.partial(known, method="auto"),
         "JPDA, belief propagation": functools.partial(known, method="belief"),
         "particles": particles,
-        "IMM-JPDA": switching,
+        "IMM-JPDA": functools.partial(switching, std=0.2, slow=0.5),
+        "IMM-JPDA, sensor noise 1 m": switching,
         "JPDA, mixtures of modes": functools.partial(switching, mixtures=True),
         "PHD": functools.partial(born, "phd", certain=False),
         "PHD, detection 0.98": functools.partial(born, "phd", False, 0.98),
         "CPHD": functools.partial(born, "cphd", certain=False),
         "CBMeMBer": functools.partial(born, "cbmember", certain=False),
-        "CBMeMBer, clutter 0.5": functools.partial(born, "cbmember", False, 0.9, 0.5),
+        "CBMeMBer, clutter 0.2": functools.partial(born, "cbmember", False, 0.9, 0.2),
         "PMBM": functools.partial(born, "pmbm"),
         "MHT": functools.partial(born, "mht"),
-        "MHT, after four scans": functools.partial(born, "slow mht"),
         "PHD, all at once": functools.partial(born, "phd"),
         "CPHD, all at once": functools.partial(born, "cphd"),
         "CBMeMBer, all at once": functools.partial(born, "cbmember"),
@@ -148,14 +147,17 @@ def followed(one: bool, method: str = "auto") -> Case:
     )
 
 
-def switching(mixtures: bool = False) -> Case:
+def switching(mixtures: bool = False, std: float = 1.0, slow: float = 0.05) -> Case:
     """Makes a case of two targets that switch between two motions.
 
     They stay 20 scans or more in each: IMM, which merges what it knows of older
-    switches, is the worse the oftener there are some.
+    switches, is the worse the oftener there are some, and the longer it matters what
+    was before: with a noisy sensor, and a calm motion.
 
     Args:
         mixtures: Whether several histories of modes are kept apart.
+        std: Noise of the sensor, m.
+        slow: Noise of the calm motion, m^2/s^3.
     """
     import jax.numpy as jnp
 
@@ -163,10 +165,10 @@ def switching(mixtures: bool = False) -> Case:
     from jaxtrack.targets import imm, mixture
     from jaxtrack.trackers import single_scan
 
-    def params(slow: float, fast: float, leave: float, back: float) -> Any:
-        one = line(1.0, 1.0, 0.95, 1.0)
+    def params(calm: float, fast: float, leave: float, back: float) -> Any:
+        one = line(1.0, std, 0.95, 1.0)
         motions = tuple(
-            models.motion.ConstantVelocity(jnp.array([x])) for x in (slow, fast)
+            models.motion.ConstantVelocity(jnp.array([x])) for x in (calm, fast)
         )
         change = jnp.array([[1 - leave, leave], [back, 1 - back]])
         modes = models.switching.MarkovSwitching(change)
@@ -176,8 +178,8 @@ def switching(mixtures: bool = False) -> Case:
     several = mixture.mixture(8, prune_threshold=1e-7, merge_threshold=0.01)
     return Case(
         patient(several if mixtures else imm.imm(), 2),
-        params(0.05, 10.0, 0.02, 0.05),
-        params(0.1, 5.0, 0.05, 0.1),
+        params(slow, 10.0, 0.02, 0.05),
+        params(2 * slow, 5.0, 0.05, 0.1),
         lambda p: (p.target.motions, p.target.switching),
         {
             "target.motions[0].noise_density": ("noise of the slow mode", (0,)),
@@ -192,14 +194,12 @@ def switching(mixtures: bool = False) -> Case:
 def particles() -> Case:
     """Makes the case of one target, followed by particles.
 
-    The draws are the same in every step of a fit, but which particles they choose
-    jumps with the parameters, and the evidence with it: the less, the better the
-    particles are placed. Drawn from the motion they make slopes that scatter by ten
-    times as much as one recording knows of the process noise.
+    Their slopes scatter, the less, the better the particles are placed: drawn from the
+    motion by ten times as much as one recording knows of the process noise.
     """
     import jax.numpy as jnp
 
-    from jaxtrack import linearize, models, resampling
+    from jaxtrack import learn, linearize, models, resampling
     from jaxtrack.targets import imm
     from jaxtrack.targets import particles as cloud
 
@@ -210,7 +210,7 @@ def particles() -> Case:
         return params._replace(target=imm.Params((one.motion,), alone, *one[1:]))
 
     target = cloud.particles(
-        400, scheme=resampling.soft(0.5), proposal=linearize.taylor
+        800, scheme=resampling.soft(0.5), proposal=linearize.taylor
     )
     name, *rest = case.names
     first = "target.motions[0].noise_density"
@@ -220,6 +220,6 @@ def particles() -> Case:
         first=several(case.first),
         where=lambda p: (p.target.motions, p.target.sensor),
         names={first: case.names[name]} | {x: case.names[x] for x in rest},
-        steps=100,
-        rough=True,
+        steps=60,
+        rough=learn.Rough(average=30, apart=2.0, draws=16),
     )

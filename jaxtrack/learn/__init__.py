@@ -37,6 +37,7 @@ from jaxtrack.learn import (
     loop,
     loss,
     recordings,
+    roughness,
     segments,
     sizes,
     slopes,
@@ -46,10 +47,12 @@ from jaxtrack.learn.bar import progress_bar
 from jaxtrack.learn.history import History
 from jaxtrack.learn.information import Information
 from jaxtrack.learn.loss import Loss, counted, evidence
+from jaxtrack.learn.roughness import Rough
 from jaxtrack.types import Array, PyTree, Tracker
 
 __all__ = [
     "Fit",
+    "Rough",
     "bar",
     "em",
     "fit",
@@ -61,6 +64,7 @@ __all__ = [
     "loss",
     "progress_bar",
     "recordings",
+    "roughness",
     "segments",
     "sizes",
     "slopes",
@@ -76,7 +80,8 @@ class Fit(NamedTuple):
 
     Attributes:
         params: Those of the least loss; with `batch` or `window`, whose losses cannot
-            be compared, and after a divergence the last ones that were finite.
+            be compared, and after a divergence the last ones that were finite; where
+            the evidence is rough the mean of the last ones.
         history: What it came through.
         information: Standard errors and intervals of what was learned by path, and
             what they follow from; None where the loss is not the evidence, of all scans
@@ -141,6 +146,7 @@ def fit(
     block: int = 16,
     segment: int | None = 1,
     errors: bool = True,
+    rough: Rough | None = None,
     directory: str | os.PathLike[str] | None = None,
     progress: loop.Progress | None = None,
 ) -> Fit:
@@ -178,6 +184,10 @@ def fit(
             memory, and time too; see `segments.run`. None keeps all.
         errors: Whether to measure standard errors, by two gradients of all scans for
             each number that is learned.
+        rough: For an evidence that is rough, of particles or of hypotheses that come
+            and go, with an optimiser that comes to rest: `Rough()` averages the last
+            places, takes standard errors from slopes that lie apart, and trackers that
+            draw do so anew in each step. None for none of it.
         directory: Where the fit is kept, in `fit.npz`; run again, it goes on and gives
             the same numbers. The optimiser's settings are taken to be the same.
         progress: Called with the number of steps done, that of all, and the loss;
@@ -192,6 +202,7 @@ def fit(
             another fit, or a reason of `unconstrain`.
     """
     sizes.check_end(num_steps, tolerance)
+    roughness.check(rough)
     scans, truth, length = recordings.stack(scans, truth)
     several, number, total = sizes.recordings(scans, truth)
     uneven = length is not None and window is None
@@ -200,7 +211,8 @@ def fit(
     rest = {"num_steps": num_steps, "patience": patience, "segment": segment}
     sizes.check(number, shortest, batch, window, block=block, **rest)
     plan = leaves.plan(params, where)
-    problem = slopes.Problem(tracker, plan, loss, prior, batch, window, block, segment)
+    of_a_step = batch, window, block, segment, rough is not None
+    problem = slopes.Problem(tracker, plan, loss, prior, *of_a_step)
     data = slopes.gather(scans, truth, seed, several, length)
     task = loop.Task(problem, optimizer, params, data, seed)
     rules = loop.Rules(num_steps, patience, tolerance)
@@ -210,8 +222,10 @@ def fit(
     told = history.stacked(end.places)
     last = slopes.is_noisy(problem) or end.stopped == "diverged"
     free = end.places[loop.best_of(told, last)].free
+    if rough is not None and end.stopped != "diverged":
+        free = roughness.mean_of(told, rough)
     found = jax.jit(leaves.constrain, static_argnums=0)(plan, params, free)
     known = None
     if errors and counted(loss, total) is not None:
-        known = information.observed(problem, params, data, free)
+        known = information.observed(problem, params, data, free, rough)
     return Fit(found, told, known, len(told.loss), end.stopped, end.message)

@@ -1,7 +1,8 @@
 """How well learned numbers are known: standard errors from the observed information.
 
 The information is the Hessian of the total negative log-evidence, less the log-prior,
-in the free numbers, by central differences of its exact slopes. Standard errors are
+in the free numbers, by central differences of its exact slopes: next to each other, or
+far enough apart to see over what makes them rough. Standard errors are
 those of the parameters themselves, by the delta method. A parameter that the scans tell
 nothing about, alone or apart from others, has an infinite one; one that lies along a
 direction in which the information is negative, so that the place is not at a maximum,
@@ -21,19 +22,21 @@ estimator: observed versus expected Fisher information", Biometrika 65(3), 1978.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxtrack.learn import intervals, leaves, slopes
+from jaxtrack.learn import intervals, leaves, roughness, slopes
 from jaxtrack.learn.loss import evidence
 from jaxtrack.types import PyTree
 
 # By what share of its variance a direction of negative information may bear on a
 # parameter, were it positive, before nothing is told of that one.
 ASIDE = 0.01
+NEAR = 0.1  # a first step where the evidence is rough, most of them by a tenth
 
 
 class Information(NamedTuple):
@@ -62,7 +65,11 @@ class Information(NamedTuple):
 
 
 def observed(
-    problem: slopes.Problem, params: PyTree, data: slopes.Data, free: leaves.Free
+    problem: slopes.Problem,
+    params: PyTree,
+    data: slopes.Data,
+    free: leaves.Free,
+    rough: roughness.Rough | None = None,
 ) -> Information:
     """Measures the information at free numbers, by 2 n gradients.
 
@@ -73,6 +80,8 @@ def observed(
         params: Those at the start.
         data: Of all recordings.
         free: Where.
+        rough: How far apart slopes are compared, and over how many draws, by 4 n
+            gradients for each of these; None for as near as rounding allows.
     """
     whole = problem._replace(batch=None, window=None)
     if problem.window is not None:
@@ -80,18 +89,24 @@ def observed(
     vector, unravel = ravel_pytree(free)
     centre = np.asarray(vector)
     key = data.keys[0]
+    total = int(slopes.num_scans(whole, data))
 
-    def gradient(vector: Any) -> np.ndarray:
+    def gradient(vector: Any, key: Any) -> np.ndarray:
         told = slopes.slope(whole, params, data, unravel(vector), key).gradient
         return np.concatenate([np.ravel(told[name]) for name in sorted(told)])
 
-    step = np.finfo(centre.dtype).eps ** (1 / 3) * np.maximum(1, np.abs(centre))
-    columns = []
-    for i, size in enumerate(step):
-        move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
-        ahead, back = gradient(centre + move), gradient(centre - move)
-        columns.append((ahead - back).astype(float) / (2 * float(size)))
-    hessian = int(slopes.num_scans(whole, data)) * np.array(columns)
+    if rough is None:
+        step = np.finfo(centre.dtype).eps ** (1 / 3) * np.maximum(1, np.abs(centre))
+        hessian = total * _secants(functools.partial(gradient, key=key), centre, step)
+    else:
+        keys = jax.random.split(key, rough.draws)
+
+        def mean(vector: Any) -> np.ndarray:
+            return np.mean([gradient(vector, key) for key in keys], axis=0)
+
+        first = total * _secants(mean, centre, np.full(len(centre), NEAR))
+        step = roughness.steps(rough, np.diag(first))
+        hessian = total * _secants(mean, centre, step)
     hessian = (hessian + hessian.T) / 2
     rate = _jacobian(problem.plan, params, free)
     tolerance = 10 * float(np.sqrt(np.finfo(centre.dtype).eps))
@@ -104,6 +119,18 @@ def observed(
     names, cov = leaves.entries(problem.plan, params), cov_of(hessian, tolerance)
     interval = _intervals(problem.plan, params, free, std_error)
     return Information(names, hessian, cov, std_error, interval)
+
+
+def _secants(
+    gradient: Callable[[np.ndarray], np.ndarray], centre: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Returns what the slopes differ by, over each number's step to both sides."""
+    columns = []
+    for i, size in enumerate(step):
+        move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
+        ahead, back = gradient(centre + move), gradient(centre - move)
+        columns.append((ahead - back).astype(float) / (2 * float(size)))
+    return np.array(columns)
 
 
 def std_of(

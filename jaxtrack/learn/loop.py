@@ -133,6 +133,7 @@ def _identity(task: Task) -> dict[str, Any]:
         "window": problem.window,
         "block": problem.block,
         "segment": problem.segment,
+        "redraw": problem.redraw,
         "tracker": hashlib.sha256(_name(problem.tracker).encode()).hexdigest()[:16],
         "loss": _name(problem.loss),
         "prior": _name(problem.prior),
@@ -204,5 +205,5 @@ def advance(
 
 
 def best_of(told: history.History, noisy: bool) -> int:
-    """Returns the step with the least loss; where each has its own scans the last."""
+    """Returns the step with the least loss; the last where each has its own scans."""
     return len(told.loss) - 1 if noisy else int(np.argmin(told.loss))

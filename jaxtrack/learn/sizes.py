@@ -74,8 +74,13 @@ def check(
             raise ValueError(
                 f"{name} is {value!r}; give a number from 1 to {most}, all {all_of}"
             )
+    check_counts(**{name: x for name, x in counts.items() if x is not None})
+
+
+def check_counts(**counts: Any) -> None:
+    """Raises a ValueError for what is no whole number of at least 1."""
     for name, value in counts.items():
-        if value is not None and not (_whole(value) and value >= 1):
+        if not (_whole(value) and value >= 1):
             raise ValueError(f"{name} is {value!r}; give at least 1, a whole number")
 
 

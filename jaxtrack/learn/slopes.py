@@ -24,6 +24,8 @@ from jaxtrack.learn.loss import Loss, counted, mask_of
 from jaxtrack.learn.sizes import needs_counts
 from jaxtrack.types import Array, PyTree, Tracker
 
+REDRAWN = 2  # no key of `pick`
+
 
 class Problem(NamedTuple):
     """What is made small; static.
@@ -37,6 +39,7 @@ class Problem(NamedTuple):
         window: Scans of a step, drawn anew for each and each recording; None for all.
         block: Recordings that are computed side by side.
         segment: See `segments.run`.
+        redraw: Whether trackers that draw do so anew in each step.
     """
 
     tracker: Tracker
@@ -47,6 +50,7 @@ class Problem(NamedTuple):
     window: int | None
     block: int
     segment: int | None
+    redraw: bool = False
 
 
 class Data(NamedTuple):
@@ -56,7 +60,8 @@ class Data(NamedTuple):
         scans: With a leading R, T.
         truth: What the loss is told besides, with a leading R, T; or None.
         keys: A tracker's random key for each recording, the same in every step, so
-            that the loss is a function of the parameters alone; [R].
+            that the loss is a function of the parameters alone, unless they are to be
+            drawn anew; [R].
         length: How many of the scans there are, [R]; None if all.
     """
 
@@ -110,7 +115,7 @@ def slope(
         params: Those at the start.
         data: Of all recordings.
         free: Free numbers.
-        key: What batch and windows are drawn with.
+        key: What batch and windows are drawn with, and trackers draw with anew.
     """
 
     def value(free: leaves.Free) -> Array:
@@ -125,6 +130,9 @@ def value_of(
 ) -> Array:
     """Returns the mean loss of a step's recordings, less the log-prior per scan."""
     params = leaves.constrain(problem.plan, params, free)
+    if problem.redraw:  # apart from what batch and windows are drawn with
+        fresh = jax.random.split(jax.random.fold_in(key, REDRAWN), len(data.keys))
+        data = data._replace(keys=fresh)
     part = pick(key, data, problem.batch, problem.window)
     each = engine.map_runs(
         _one,
@@ -146,8 +154,8 @@ def value_of(
 
 
 def is_noisy(problem: Problem) -> bool:
-    """Returns whether every step has scans of its own."""
-    return problem.batch is not None or problem.window is not None
+    """Returns whether every step has scans or draws of its own."""
+    return problem.redraw or problem.batch is not None or problem.window is not None
 
 
 def num_scans(problem: Problem, data: Data) -> int | Array:
