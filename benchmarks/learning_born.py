@@ -7,7 +7,11 @@ from benchmarks.learning_cases import Case, clutter, line, there
 
 
 def born(
-    name: str, certain: bool = True, detect: float = 0.9, rate: float = 2.0
+    name: str,
+    certain: bool = True,
+    detect: float = 0.9,
+    rate: float = 2.0,
+    births: float = 0.1,
 ) -> Case:
     """Makes a case of targets that are born at a place and die.
 
@@ -17,6 +21,7 @@ def born(
             death apart; if not, their probabilities are known.
         detect: Probability of detection.
         rate: False detections a scan.
+        births: Of targets, a scan.
     """
     from jaxtrack import learn
 
@@ -26,8 +31,8 @@ def born(
     birth = functools.partial(one_birth, name, width)
     return Case(
         maker(name),
-        world(name, 1.0, detect, 0.95, rate, birth(0.1, 0.0)),
-        world(name, 1.4, *unsure, 1.5 * rate, birth(0.2, width / 2)),
+        world(name, 1.0, detect, 0.95, rate, birth(births, 0.0)),
+        world(name, 1.4, *unsure, 1.5 * rate, birth(2 * births, width / 2)),
         lambda p: (
             p.target.sensor,
             (p.target.detect, p.target.survive) if certain else (),
@@ -44,7 +49,7 @@ def born(
             "birth.existence_prob": ("births a scan", (0,)),
             "birth.mean": ("place of births, m", (0, 0)),
         },
-        steps=100,
+        steps=80,
         rough=learn.Rough(),
     )
 
@@ -66,8 +71,7 @@ def maker(name: str) -> Any:
         return cbmember.cbmember(target, **room)
     if name == "mht":  # after two scans some count as dead that are seen again
         room |= {"num_scans": 4, "max_leaves": 20, "max_tracks": 16}
-        more = {"max_hypotheses": 128, "max_undetected": 4, "gate_prob": 1.0}
-        return mht.mht(target, **room, **more)
+        return mht.mht(target, max_undetected=4, gate_prob=1.0, **room)
     if name != "pmbm":
         raise ValueError(f"name is {name!r}; give phd, cphd, cbmember, pmbm or mht")
     # Weak tracks that go back to those undetected need no hypotheses of their own.

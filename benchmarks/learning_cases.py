@@ -17,8 +17,9 @@ class Case(NamedTuple):
         where: What is learned.
         names: By path, what it is called and, of several numbers, which is shown.
         size: Recordings, scans of each, slots of a scan.
-        steps: Of Adam, slower and slower; 0 where the evidence is so smooth that a
-            quasi-Newton method finds its way, which stops before a cliff.
+        steps: Of Adam, slower and slower but where slopes are drawn; 0 where the
+            evidence is so smooth that a quasi-Newton method finds its way, which stops
+            before a cliff.
         rough: What is done where it is rough, a `learn.Rough`.
     """
 
@@ -42,14 +43,18 @@ def cases() -> dict[str, Callable[[], Case]]:
         "JPDA, exact": functools.partial(known, method="auto"),
         "JPDA, belief propagation": functools.partial(known, method="belief"),
         "particles": particles,
-        "IMM-JPDA": functools.partial(switching, std=0.2, slow=0.5),
-        "IMM-JPDA, sensor noise 1 m": switching,
+        "IMM-JPDA, precise sensor": functools.partial(
+            switching, std=0.2, slow=0.5, fast=5.0
+        ),
+        "IMM-JPDA": switching,
         "JPDA, mixtures of modes": functools.partial(switching, mixtures=True),
         "PHD": functools.partial(born, "phd", certain=False),
-        "PHD, detection 0.98": functools.partial(born, "phd", False, 0.98),
+        "PHD, detection 0.98": functools.partial(born, "phd", False, detect=0.98),
         "CPHD": functools.partial(born, "cphd", certain=False),
         "CBMeMBer": functools.partial(born, "cbmember", certain=False),
-        "CBMeMBer, clutter 0.2": functools.partial(born, "cbmember", False, 0.9, 0.2),
+        "CBMeMBer, few targets": functools.partial(
+            born, "cbmember", False, rate=0.5, births=0.03
+        ),
         "PMBM": functools.partial(born, "pmbm"),
         "MHT": functools.partial(born, "mht"),
         "PHD, all at once": functools.partial(born, "phd"),
@@ -147,39 +152,42 @@ def followed(one: bool, method: str = "auto") -> Case:
     )
 
 
-def switching(mixtures: bool = False, std: float = 1.0, slow: float = 0.05) -> Case:
+def switching(
+    mixtures: bool = False, std: float = 1.0, slow: float = 0.05, fast: float = 10.0
+) -> Case:
     """Makes a case of two targets that switch between two motions.
 
     They stay 20 scans or more in each: IMM, which merges what it knows of older
     switches, is the worse the oftener there are some, and the longer it matters what
-    was before: with a noisy sensor, and a calm motion.
+    was before: with a noisy sensor, and motions that have little in common.
 
     Args:
         mixtures: Whether several histories of modes are kept apart.
         std: Noise of the sensor, m.
-        slow: Noise of the calm motion, m^2/s^3.
+        slow: Noise of one motion, m^2/s^3.
+        fast: Noise of the other.
     """
     import jax.numpy as jnp
 
-    from jaxtrack import models
+    from jaxtrack import learn, models
     from jaxtrack.targets import imm, mixture
     from jaxtrack.trackers import single_scan
 
-    def params(calm: float, fast: float, leave: float, back: float) -> Any:
-        one = line(1.0, std, 0.95, 1.0)
+    def params(one: float, two: float, leave: float, back: float) -> Any:
+        rest = line(1.0, std, 0.95, 1.0)[1:]
         motions = tuple(
-            models.motion.ConstantVelocity(jnp.array([x])) for x in (calm, fast)
+            models.motion.ConstantVelocity(jnp.array([x])) for x in (one, two)
         )
         change = jnp.array([[1 - leave, leave], [back, 1 - back]])
         modes = models.switching.MarkovSwitching(change)
-        target = imm.Params(motions, modes, *one[1:])
+        target = imm.Params(motions, modes, *rest)
         return single_scan.Params(target, None, clutter(1.0), there(1.0, 2, 2))
 
     several = mixture.mixture(8, prune_threshold=1e-7, merge_threshold=0.01)
     return Case(
         patient(several if mixtures else imm.imm(), 2),
-        params(slow, 10.0, 0.02, 0.05),
-        params(2 * slow, 5.0, 0.05, 0.1),
+        params(slow, fast, 0.02, 0.05),
+        params(2 * slow, fast / 2, 0.05, 0.1),
         lambda p: (p.target.motions, p.target.switching),
         {
             "target.motions[0].noise_density": ("noise of the slow mode", (0,)),
@@ -188,6 +196,7 @@ def switching(mixtures: bool = False, std: float = 1.0, slow: float = 0.05) -> C
         },
         (8, 150, 10),
         steps=100,
+        rough=None if mixtures else learn.Rough(),
     )
 
 

@@ -80,8 +80,8 @@ class Fit(NamedTuple):
 
     Attributes:
         params: Those of the least loss; with `batch` or `window`, whose losses cannot
-            be compared, and after a divergence the last ones that were finite; where
-            the evidence is rough the mean of the last ones.
+            be compared, and after a divergence the last ones that were finite. Of a
+            rough fit that did not diverge the mean of the last ones.
         history: What it came through.
         information: Standard errors and intervals of what was learned by path, and
             what they follow from; None where the loss is not the evidence, of all scans
@@ -178,16 +178,17 @@ def fit(
         window: Consecutive scans of each that are drawn anew for each step, at whose
             first the tracker begins afresh; by default all.
         seed: Of what is drawn, and of the trackers that draw: recording r has the same
-            key in every step.
+            key in every step, unless `rough` says how many draws.
         block: Recordings that are computed side by side, see `engine.map_runs`.
         segment: Scans of which the way back begins with the state alone, which saves
             memory, and time too; see `segments.run`. None keeps all.
         errors: Whether to measure standard errors, by two gradients of all scans for
             each number that is learned.
         rough: For an evidence that is rough, of particles or of hypotheses that come
-            and go, with an optimiser that comes to rest: `Rough()` averages the last
-            places, takes standard errors from slopes that lie apart, and trackers that
-            draw do so anew in each step. None for none of it.
+            and go: `Rough()` averages the last places, of an optimiser that comes to
+            rest, and takes standard errors from slopes that lie apart, by some four
+            gradients of each number for each draw. Patience is then at least that of
+            twice as many steps. None for none of it.
         directory: Where the fit is kept, in `fit.npz`; run again, it goes on and gives
             the same numbers. The optimiser's settings are taken to be the same.
         progress: Called with the number of steps done, that of all, and the loss;
@@ -202,7 +203,7 @@ def fit(
             another fit, or a reason of `unconstrain`.
     """
     sizes.check_end(num_steps, tolerance)
-    roughness.check(rough)
+    roughness.check(rough, num_steps)
     scans, truth, length = recordings.stack(scans, truth)
     several, number, total = sizes.recordings(scans, truth)
     uneven = length is not None and window is None
@@ -211,10 +212,13 @@ def fit(
     rest = {"num_steps": num_steps, "patience": patience, "segment": segment}
     sizes.check(number, shortest, batch, window, block=block, **rest)
     plan = leaves.plan(params, where)
-    of_a_step = batch, window, block, segment, rough is not None
+    redraw = rough is not None and rough.draws is not None
+    of_a_step = batch, window, block, segment, redraw
     problem = slopes.Problem(tracker, plan, loss, prior, *of_a_step)
     data = slopes.gather(scans, truth, seed, several, length)
     task = loop.Task(problem, optimizer, params, data, seed)
+    if rough is not None and patience is not None:
+        patience = max(patience, 2 * rough.average)
     rules = loop.Rules(num_steps, patience, tolerance)
     end = loop.walk(task, rules, progress, directory)
     if not end.places:

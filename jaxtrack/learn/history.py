@@ -69,8 +69,8 @@ def settled(
         losses: [S].
         patience: How many steps; None if a fit never settles.
         tolerance: By less than this it does not fall.
-        noisy: Whether every step has scans of its own: then the mean of these steps is
-            compared with that of as many before, otherwise the least loss of all.
+        noisy: Whether every step draws anew, scans or particles: then the mean of these
+            steps is compared with that of as many before, otherwise the least loss.
     """
     if patience is None or len(losses) < (2 if noisy else 1) * patience + (not noisy):
         return False

@@ -22,7 +22,6 @@ estimator: observed versus expected Fisher information", Biometrika 65(3), 1978.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -36,7 +35,7 @@ from jaxtrack.types import PyTree
 # By what share of its variance a direction of negative information may bear on a
 # parameter, were it positive, before nothing is told of that one.
 ASIDE = 0.01
-NEAR = 0.1  # a first step where the evidence is rough, most of them by a tenth
+APART = 3  # no key of a step
 
 
 class Information(NamedTuple):
@@ -80,33 +79,29 @@ def observed(
         params: Those at the start.
         data: Of all recordings.
         free: Where.
-        rough: How far apart slopes are compared, and over how many draws, by 4 n
-            gradients for each of these; None for as near as rounding allows.
+        rough: How far apart slopes are compared, by some 4 n gradients, and over how
+            many draws, each with as many; None for as near as rounding allows.
     """
     whole = problem._replace(batch=None, window=None)
     if problem.window is not None:
         whole = whole._replace(loss=evidence)
     vector, unravel = ravel_pytree(free)
     centre = np.asarray(vector)
-    key = data.keys[0]
+    draws = None if rough is None else rough.draws
+    key = jax.random.fold_in(data.keys[0], APART)
+    keys = jax.random.split(key, draws or 1)
     total = int(slopes.num_scans(whole, data))
 
-    def gradient(vector: Any, key: Any) -> np.ndarray:
-        told = slopes.slope(whole, params, data, unravel(vector), key).gradient
-        return np.concatenate([np.ravel(told[name]) for name in sorted(told)])
+    def gradient(vector: Any) -> np.ndarray:
+        at = functools.partial(slopes.slope, whole, params, data, unravel(vector))
+        told = [at(key).gradient for key in keys]
+        each = [[np.ravel(x[name]) for name in sorted(x)] for x in told]
+        return total * np.mean([np.concatenate(x) for x in each], axis=0)
 
     if rough is None:
-        step = np.finfo(centre.dtype).eps ** (1 / 3) * np.maximum(1, np.abs(centre))
-        hessian = total * _secants(functools.partial(gradient, key=key), centre, step)
+        hessian = _near(gradient, centre)
     else:
-        keys = jax.random.split(key, rough.draws)
-
-        def mean(vector: Any) -> np.ndarray:
-            return np.mean([gradient(vector, key) for key in keys], axis=0)
-
-        first = total * _secants(mean, centre, np.full(len(centre), NEAR))
-        step = roughness.steps(rough, np.diag(first))
-        hessian = total * _secants(mean, centre, step)
+        hessian = roughness.secants(gradient, centre, rough.apart)
     hessian = (hessian + hessian.T) / 2
     rate = _jacobian(problem.plan, params, free)
     tolerance = 10 * float(np.sqrt(np.finfo(centre.dtype).eps))
@@ -121,16 +116,14 @@ def observed(
     return Information(names, hessian, cov, std_error, interval)
 
 
-def _secants(
-    gradient: Callable[[np.ndarray], np.ndarray], centre: np.ndarray, step: np.ndarray
-) -> np.ndarray:
-    """Returns what the slopes differ by, over each number's step to both sides."""
-    columns = []
-    for i, size in enumerate(step):
-        move = np.where(np.arange(len(centre)) == i, size, 0).astype(centre.dtype)
-        ahead, back = gradient(centre + move), gradient(centre - move)
-        columns.append((ahead - back).astype(float) / (2 * float(size)))
-    return np.array(columns)
+def _near(gradient: roughness.Gradient, centre: np.ndarray) -> np.ndarray:
+    """Returns the Hessian from slopes as near as rounding allows."""
+    step = np.finfo(centre.dtype).eps ** (1 / 3) * np.maximum(1, np.abs(centre))
+    rows = [
+        roughness.difference(gradient, centre, i, float(size))
+        for i, size in enumerate(step)
+    ]
+    return np.stack(rows)
 
 
 def std_of(
@@ -146,8 +139,10 @@ def std_of(
     Returns:
         [E]; infinite for what depends on something that there is no information about,
         NaN for what depends on something of which it is negative, by more than
-        `ASIDE` of the variance.
+        `ASIDE` of the variance, and for everything if some of it is not finite.
     """
+    if not np.isfinite(hessian).all():
+        return np.full(len(rows), np.nan)
     value, vector = _axes(hessian)
     square = (rows @ vector) ** 2
     known, negative = value > tolerance, value < -tolerance
@@ -162,6 +157,8 @@ def std_of(
 
 def cov_of(hessian: np.ndarray, tolerance: float = 1.5e-7) -> np.ndarray:
     """Returns the covariance of the free numbers, see `Information`."""
+    if not np.isfinite(hessian).all():
+        return np.full(hessian.shape, np.nan)
     value, vector = _axes(hessian)
     known = value > tolerance
     cov = (vector * np.where(known, 1 / np.where(known, value, 1.0), 0.0)) @ vector.T

@@ -51,7 +51,7 @@ class Task(NamedTuple):
         optimizer: Of optax.
         params: Those at the start.
         data: Of all recordings.
-        seed: Of batches and windows.
+        seed: Of batches, windows and draws.
     """
 
     problem: slopes.Problem
@@ -205,5 +205,5 @@ def advance(
 
 
 def best_of(told: history.History, noisy: bool) -> int:
-    """Returns the step with the least loss; the last where each has its own scans."""
+    """Returns the step with the least loss; the last where each draws anew."""
     return len(told.loss) - 1 if noisy else int(np.argmin(told.loss))

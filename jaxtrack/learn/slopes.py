@@ -154,7 +154,7 @@ def value_of(
 
 
 def is_noisy(problem: Problem) -> bool:
-    """Returns whether every step has scans or draws of its own."""
+    """Returns whether every step draws anew, scans or what a tracker draws."""
     return problem.redraw or problem.batch is not None or problem.window is not None
 
 
