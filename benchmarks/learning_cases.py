@@ -44,7 +44,7 @@ def cases() -> dict[str, Callable[[], Case]]:
         "JPDA, belief propagation": functools.partial(known, method="belief"),
         "particles": particles,
         "IMM-JPDA, precise sensor": functools.partial(
-            switching, std=0.2, slow=0.5, fast=5.0
+            switching, std=0.2, slow=0.5, fast=5.0, half=1e4
         ),
         "IMM-JPDA": switching,
         "JPDA, mixtures of modes": functools.partial(switching, mixtures=True),
@@ -78,22 +78,24 @@ def line(density: Any, std: float, detect: float, survive: float) -> Any:
     )
 
 
-def clutter(rate: float) -> Any:
-    """Returns false detections all over the line."""
+def clutter(rate: float, half: float = HALF) -> Any:
+    """Returns false detections all over the line, to so many m from its middle."""
     import jax.numpy as jnp
 
     from jaxtrack.models.clutter import UniformClutter
 
-    return UniformClutter(jnp.array(rate), jnp.array([-HALF]), jnp.array([HALF]))
+    return UniformClutter(jnp.array(rate), jnp.array([-half]), jnp.array([half]))
 
 
-def there(prob: float, number: int, modes: int = 1, speed: float = 1.0) -> Any:
+def there(
+    prob: float, number: int, modes: int = 1, speed: float = 1.0, half: float = HALF
+) -> Any:
     """Returns targets that may begin at places along the line, so fast (m/s)."""
     import jax.numpy as jnp
 
     from jaxtrack.models.birth import MultiBernoulliBirth
 
-    place = jnp.linspace(-HALF / 2, HALF / 2, number) if number > 1 else jnp.zeros(1)
+    place = jnp.linspace(-half / 2, half / 2, number) if number > 1 else jnp.zeros(1)
     return MultiBernoulliBirth(
         existence_prob=jnp.full(number, prob),
         mean=jnp.stack([place, jnp.zeros(number)], 1),
@@ -153,7 +155,11 @@ def followed(one: bool, method: str = "auto") -> Case:
 
 
 def switching(
-    mixtures: bool = False, std: float = 1.0, slow: float = 0.05, fast: float = 10.0
+    mixtures: bool = False,
+    std: float = 1.0,
+    slow: float = 0.05,
+    fast: float = 10.0,
+    half: float = HALF,
 ) -> Case:
     """Makes a case of two targets that switch between two motions.
 
@@ -166,6 +172,7 @@ def switching(
         std: Noise of the sensor, m.
         slow: Noise of one motion, m^2/s^3.
         fast: Noise of the other.
+        half: Of the line, m; how far apart they begin.
     """
     import jax.numpy as jnp
 
@@ -181,7 +188,8 @@ def switching(
         change = jnp.array([[1 - leave, leave], [back, 1 - back]])
         modes = models.switching.MarkovSwitching(change)
         target = imm.Params(motions, modes, *rest)
-        return single_scan.Params(target, None, clutter(1.0), there(1.0, 2, 2))
+        begin = there(1.0, 2, 2, half=half)
+        return single_scan.Params(target, None, clutter(1.0, half), begin)
 
     several = mixture.mixture(8, prune_threshold=1e-7, merge_threshold=0.01)
     return Case(
@@ -219,7 +227,7 @@ def particles() -> Case:
         return params._replace(target=imm.Params((one.motion,), alone, *one[1:]))
 
     target = cloud.particles(
-        800, scheme=resampling.soft(0.5), proposal=linearize.taylor
+        600, scheme=resampling.soft(0.5), proposal=linearize.taylor
     )
     name, *rest = case.names
     first = "target.motions[0].noise_density"
@@ -229,6 +237,6 @@ def particles() -> Case:
         first=several(case.first),
         where=lambda p: (p.target.motions, p.target.sensor),
         names={first: case.names[name]} | {x: case.names[x] for x in rest},
-        steps=60,
-        rough=learn.Rough(average=30, apart=2.0, draws=16),
+        steps=50,
+        rough=learn.Rough(average=25, apart=2.0, draws=8),
     )

@@ -10,9 +10,12 @@ import pytest
 from cases import learning
 from cases.learning import RUNS, SCANS, Told, start, watched, watcher
 
-from jaxtrack import learn
+from benchmarks import learning_cases
+from benchmarks.learning import recordings
+from jaxtrack import learn, linearize, resampling
 from jaxtrack.learn import information, leaves, roughness, slopes
 from jaxtrack.learn.loss import evidence
+from jaxtrack.targets import particles
 from jaxtrack.types import Tracker
 
 NOISE = 3.0  # of a slope, times the scans
@@ -296,3 +299,40 @@ def test_what_diverged_is_not_averaged():
 def test_settings_that_make_no_sense_are_refused(rough, message):
     with pytest.raises(ValueError, match=message):
         fit(watcher, rough)
+
+
+@pytest.mark.slow
+def test_particles_find_what_a_kalman_filter_does():
+    """One target, in three recordings; 100 particles are few, hence a whole error."""
+    size = 3, 40, 12
+    exact = learning_cases.followed(one=True)._replace(size=size)
+    case = learning_cases.particles()._replace(size=size)
+    scans = recordings(exact, 3)
+    few = particles.particles(
+        100, scheme=resampling.soft(0.5), proposal=linearize.taylor
+    )
+    best = learn.fit(exact.tracker, exact.first, scans, NEWTON, where=exact.where)
+    found = learn.fit(
+        learning_cases.patient(few, 1),
+        case.first,
+        scans,
+        optax.adam(0.05),
+        where=case.where,
+        num_steps=case.steps,
+        patience=None,
+        rough=case.rough,
+    )
+    pairs = {
+        "motion.noise_density": "motions[0].noise_density",
+        "sensor.noise_std": "sensor.noise_std",
+    }
+    for theirs, own in pairs.items():
+        ends = (
+            fit.information.interval[f"target.{path}"][0]
+            for fit, path in ((best, theirs), (found, own))
+        )
+        (middle, error), (told, own_error) = (
+            (np.log(x).mean(), np.log(x[1] / x[0]) / 4) for x in ends
+        )
+        assert abs(told - middle) < error
+        np.testing.assert_allclose(own_error, error, rtol=0.4)  # of few draws
