@@ -100,6 +100,27 @@ def test_the_way_there_is_not_averaged():
     )
 
 
+def test_patience_compares_means_where_slopes_are_drawn():
+    """The least of all losses is a matter of luck."""
+    still = optax.sgd(0.0)
+    told = learn.fit(
+        draws,
+        start(),
+        watched(),
+        still,
+        where=only_mean,
+        patience=20,
+        errors=False,
+        rough=learn.Rough(average=10, draws=1),
+    ).history.loss
+    assert len(told) >= 40
+    assert told[-20:].mean() >= told[-40:-20].mean()
+    assert all(
+        told[i - 20 : i].mean() < told[i - 40 : i - 20].mean()
+        for i in range(40, len(told))
+    )
+
+
 @pytest.mark.parametrize("draws_of_a_fit", [None, 1])
 def test_steps_draw_anew_if_there_are_draws(draws_of_a_fit):
     """At one place; slopes are drawn for each of 3 recordings."""

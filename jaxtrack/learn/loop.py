@@ -133,7 +133,6 @@ def _identity(task: Task) -> dict[str, Any]:
         "window": problem.window,
         "block": problem.block,
         "segment": problem.segment,
-        "redraw": problem.redraw,
         "tracker": hashlib.sha256(_name(problem.tracker).encode()).hexdigest()[:16],
         "loss": _name(problem.loss),
         "prior": _name(problem.prior),

@@ -97,18 +97,18 @@ def _secant(gradient: Gradient, centre: np.ndarray, i: int, apart: float) -> np.
     Where slopes are not finite the step is halved; where they do not grow, as beyond a
     narrow valley, it is made smaller, and at last as large as may be.
     """
-    step, most, found = FIRST, MOST, None
+    step, found = FIRST, None
     for _ in range(ROUNDS):
         row = difference(gradient, centre, i, step)
         if not np.isfinite(row).all():
-            step = most = step / 2
+            step = step / 2
         elif row[i] > 0:
             found, before = row, step
-            step = min(apart / float(np.sqrt(row[i])), most)
+            step = min(apart / float(np.sqrt(row[i])), MOST)
             if 1 / SETTLED < step / before < SETTLED:
                 break
         else:
-            step = step / 10 if step > LEAST else most
+            step = step / 10 if step > LEAST else MOST
     return row if found is None else found
 
 
