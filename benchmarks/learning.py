@@ -161,8 +161,8 @@ def _numbers(kind: Any, truth: Any, found: Any, error: Any) -> list[str]:
     within = np.abs(found - truth) <= 2 * error  # not so without an error
     low, high = intervals.interval(kind, found, error).T
     inside = (low <= truth) & (truth <= high)
-    median = f"{np.nanmedian(error):.2g}"
-    return [*mean, median, f"{within.mean():.0%}", f"{inside.mean():.0%}"]
+    covered = f"{within.mean():.0%} of {len(within)}", f"{inside.mean():.0%}"
+    return [*mean, f"{np.nanmedian(error):.2g}", *covered]
 
 
 def _row(cells: Iterable[Any]) -> str:

@@ -51,6 +51,9 @@ def cases() -> dict[str, Callable[[], Case]]:
         "PHD": functools.partial(born, "phd", certain=False),
         "PHD, detection 0.98": functools.partial(born, "phd", False, detect=0.98),
         "CPHD": functools.partial(born, "cphd", certain=False),
+        "CPHD, detection 0.98, clutter 0.5": functools.partial(
+            born, "cphd", False, detect=0.98, rate=0.5
+        ),
         "CBMeMBer": functools.partial(born, "cbmember", certain=False),
         "CBMeMBer, few targets": functools.partial(
             born, "cbmember", False, rate=0.5, births=0.03

@@ -200,7 +200,7 @@ def test_the_table_of_fits_counts_what_lies_within_two_errors():
     fits = [row | {"rows": {"noise": [1.0, *pair]}} for pair in found]
     about = {"PHD": learning.About(400, {"noise": "positive"})}
     *_, last = learning.table(fits, about).strip().splitlines()
-    told = "0.1 | 67% of 3 | 67%"
+    told = "0.1 | 50% of 4 | 50%"  # without an error nothing is within it
     assert last == f"| PHD | noise | 1 | 1.075 ± 0.085 | {told} | 400 | 2 |"
     both = [row | {"rows": {"noise": [1.0, 1.1, 0.1], "place": [0, 1, 1]}}]
     about["PHD"].kinds["place"] = "real"
