@@ -324,13 +324,13 @@ def test_settings_that_make_no_sense_are_refused(rough, message):
 
 @pytest.mark.slow
 def test_particles_find_what_a_kalman_filter_does():
-    """One target, in three recordings; 100 particles are few, hence a whole error."""
+    """One target, in three recordings; 300 particles are few, hence a whole error."""
     size = 3, 40, 12
     exact = learning_cases.followed(one=True)._replace(size=size)
     case = learning_cases.particles()._replace(size=size)
     scans = recordings(exact, 3)
     few = particles.particles(
-        100, scheme=resampling.soft(0.5), proposal=linearize.taylor
+        300, scheme=resampling.soft(0.5), proposal=linearize.taylor
     )
     best = learn.fit(exact.tracker, exact.first, scans, NEWTON, where=exact.where)
     found = learn.fit(
@@ -341,7 +341,7 @@ def test_particles_find_what_a_kalman_filter_does():
         where=case.where,
         num_steps=case.steps,
         patience=None,
-        rough=case.rough,
+        rough=case.rough._replace(draws=16),
     )
     pairs = {
         "motion.noise_density": "motions[0].noise_density",
